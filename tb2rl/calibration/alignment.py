@@ -54,13 +54,7 @@ class Matches:
 
 
 class Alignment:
-    """The scans and the odometry of a drive.
-
-    Args:
-        drive: The drive, with scans.
-        scans: Its scans.
-        noise: Standard deviation of the ranges [m].
-    """
+    """The scans and the odometry of a drive; `noise` is the standard deviation of the ranges [m]."""
 
     def __init__(self, drive: Drive, scans: Scans, noise: float) -> None:
         self._odometry = drive.odometry

@@ -81,8 +81,8 @@ class Calibration:
 
     Attributes:
         estimates: By the keys of `QUANTITIES`; `UNKNOWN` where the drives do not tell.
-        limits: Largest speed [m/s] and turn rate [rad/s] of commands, beyond which the robot goes no faster.
-        forward: Speed by odometry / commanded speed.
+        commanded: Of commands, the largest speed "max_speed" [m/s] and turn rate "max_turn_rate" [rad/s], beyond which
+            the robot goes no faster; "forward" and "turn" are the speeds by odometry / commanded speeds.
         robot: The nominal robot.
         responses: The fits of the speeds, one per drive.
         alignments: Parameters of `Alignment`, one per drive; its start values without scans.
@@ -90,8 +90,7 @@ class Calibration:
     """
 
     estimates: Mapping[str, Estimate]
-    limits: tuple[Estimate, Estimate]
-    forward: Estimate
+    commanded: Mapping[str, Estimate]
     robot: Robot
     responses: Sequence[Response]
     alignments: Sequence[np.ndarray]
@@ -116,52 +115,36 @@ def calibrate(drives: Sequence[Drive], robot: Robot, world: World | None = None)
     """
     drives = [_with_useful_scans(drive) for drive in drives]
     parts = [_calibrate_one(drive, robot, world) for drive in drives]
-    estimates = {key: _useful(key, _combine([part.estimates[key] for part in parts])) for key in QUANTITIES}
-    limits = tuple(_combine([part.limits[k] for part in parts]) for k in (0, 1))
-    responses, alignments = (
-        [each for part in parts for each in getattr(part, name)] for name in ("responses", "alignments")
-    )
-    return Calibration(
-        estimates,
-        (limits[0], limits[1]),
-        _combine([part.forward for part in parts]),
-        robot,
-        responses,
-        alignments,
-        drives,
-    )
+    estimates = {key: _combine([part.estimates[key] for part in parts]) for key in QUANTITIES}
+    useful = {key: each if each.half_width <= QUANTITIES[key].useful else UNKNOWN for key, each in estimates.items()}
+    commanded = {key: _combine([part.commanded[key] for part in parts]) for key in _COMMANDED}
+    responses, alignments = ([getattr(part, name)[0] for part in parts] for name in ("responses", "alignments"))
+    return Calibration(useful, commanded, robot, responses, alignments, drives)
 
 
 def _calibrate_one(drive: Drive, robot: Robot, world: World | None) -> Calibration:
     if not len(drive.odometry):
         raise InputError(f"{drive.name} has no odometry")
-    fit = fit_response(drive, robot)
-    estimates, scan_solution = dict.fromkeys(QUANTITIES, UNKNOWN), Solution(
-        alignment.START, np.diag(alignment.PRIOR**2), 1.96
-    )  # fmt: skip
-    scans = drive.scans
+    fit, scans, estimates = fit_response(drive, robot), drive.scans, dict.fromkeys(QUANTITIES, UNKNOWN)
+    aligned, spacing = Solution(alignment.START, np.diag(alignment.PRIOR**2), 1.96), 0.0  # without scans
     if scans:
-        scan_solution, laser = _read_scans(drive, scans)
+        aligned, laser = _read_scans(drive, scans)
         estimates |= laser
-    spacing = float(np.diff(used_beams(scans)[1]).mean()) if scans else 0.0
-    at_scans = {
-        name: scan_solution.estimate(index, _SYSTEMATIC[name] + _SPARSE[name] * spacing)
-        for name, index in _ALIGNED.items()
-    }
+        spacing = float(np.diff(used_beams(scans)[1]).mean())
+    errors = {name: _SYSTEMATIC[name] + per_radian * spacing for name, per_radian in _SPARSE.items()}
+    at_scans = {name: aligned.estimate(_ALIGNED[name], error) for name, error in errors.items()}
     if scans and world:
         mapped = MapAlignment(drive, scans, _noise_level(estimates["laser_noise"]), world).solve()
-        at_walls = {name: mapped.estimate(_ALIGNED[name], error) for name, error in _MAPPED.items()}
-        for name, at_wall in at_walls.items():
-            _check_map(drive, world, QUANTITIES[name].label, at_wall, at_scans[name])
-        at_scans |= at_walls
-    limits = tuple(fit.solution.estimate(k, _SYSTEMATIC[name]) for k, name in _LIMITS)
-    motion = _motion(fit, at_scans, robot)
-    for (_, name), limit, commands in zip(_LIMITS, limits, drive.commands.T[1:], strict=True):
-        if not is_limited(commands, limit.value):
-            motion[name] = UNKNOWN
-    forward = fit.solution.estimate(response.FORWARD, _SYSTEMATIC["forward"])
-    estimates |= motion | {name: each for name, each in at_scans.items() if name in QUANTITIES and scans}
-    return Calibration(estimates, (limits[0], limits[1]), forward, robot, [fit], [scan_solution.values], [drive])
+        for name, error in _MAPPED.items():
+            at_walls = mapped.estimate(_ALIGNED[name], error)
+            _check_map(drive, world, QUANTITIES[name].label, at_walls, at_scans[name])
+            at_scans[name] = at_walls
+    commanded = {name: fit.solution.estimate(index, _SYSTEMATIC[name]) for name, index in _COMMANDED.items()}
+    estimates |= _motion(fit, commanded, at_scans, robot) | (at_scans if scans else {})
+    for name, commands in zip(("max_speed", "max_turn_rate"), drive.commands.T[1:], strict=True):
+        if not is_limited(commands, commanded[name].value):
+            estimates[name] = UNKNOWN
+    return Calibration(estimates, commanded, robot, [fit], [aligned.values], [drive])
 
 
 def _with_useful_scans(drive: Drive) -> Drive:
@@ -176,7 +159,11 @@ _ALIGNED = {
     "mount_yaw": alignment.YAW, "bias": alignment.BIAS,
 }  # fmt: skip
 _MAPPED = {"distance_scale": 0.0005, "turn_scale": 0.00015}  # what a map tells, and systematic standard errors
-_LIMITS = ((response.SPEED, "max_speed"), (response.TURN_RATE, "max_turn_rate"))
+_COMMANDED = {
+    "forward": response.FORWARD, "turn": response.TURN, "max_speed": response.SPEED,
+    "max_turn_rate": response.TURN_RATE,
+}  # fmt: skip
+_UNSCALED = response.SPEED, response.TURN_RATE, response.ACCELERATION, response.TURN_ACCELERATION
 
 
 def _read_scans(drive: Drive, scans: Scans) -> tuple[Solution, dict[str, Estimate]]:
@@ -207,47 +194,26 @@ def _noise_level(noise: Estimate) -> float:
     return noise.value if math.isfinite(noise.value) else 0.02
 
 
-def _motion(whole: Response, at_scans: Mapping[str, Estimate], robot: Robot) -> dict[str, Estimate]:
+def _motion(
+    fit: Response, commanded: Mapping[str, Estimate], at_scans: Mapping[str, Estimate], robot: Robot
+) -> dict[str, Estimate]:
     """Latency, limits, accelerations and ratios in true units, from the response in units of the odometry."""
-    fit = whole.solution
-    each = [fit.estimate(index) for index in range(len(fit.values))]
-    forward, turn = (
-        fit.estimate(k, _SYSTEMATIC[n]) for k, n in ((response.FORWARD, "forward"), (response.TURN, "turn"))
-    )
-    distance_scale, turn_scale = at_scans["distance_scale"], at_scans["turn_scale"]
-    wheel_radius, turn_ratio = _ratio(forward, distance_scale), _ratio(turn, turn_scale)
-    to_turn = 2.0 / robot.wheel_separation
-    blur = _PER_LATENCY * whole.latency.half_width  # as a longer latency and a higher acceleration look alike
-    errors = (math.hypot(blur, _SYSTEMATIC[name]) for name in ("acceleration", "turn_acceleration"))
-    acceleration = _ratio(each[response.ACCELERATION], distance_scale, next(errors))
-    turn_acceleration = _ratio(each[response.TURN_ACCELERATION], turn_scale, next(errors), to_turn)
+    latency, distance_scale, turn_scale = fit.latency, at_scans["distance_scale"], at_scans["turn_scale"]
+    wheel_radius, turn_ratio = commanded["forward"].over(distance_scale), commanded["turn"].over(turn_scale)
+    blur = _PER_LATENCY * latency.half_width  # as a longer latency and a higher acceleration look alike
+    errors = {name: math.hypot(blur, _SYSTEMATIC[name]) for name in ("acceleration", "turn_acceleration")}
+    speed, turn_rate, acceleration, turn_acceleration = map(fit.solution.estimate, _UNSCALED)
+    latency_error = math.hypot(latency.half_width, 1.96 * _SYSTEMATIC["latency"])
+    to_turn = Estimate.of(2.0 / robot.wheel_separation, 0.0)
     return {
-        "latency": _widened(whole.latency, _SYSTEMATIC["latency"]).within(0.0, math.inf),
-        "max_speed": _product(each[response.SPEED], wheel_radius, _SYSTEMATIC["max_speed"]),
-        "max_turn_rate": _product(each[response.TURN_RATE], turn_ratio, _SYSTEMATIC["max_turn_rate"]),
-        "acceleration": acceleration,
-        "turn_acceleration": turn_acceleration,
+        "latency": Estimate.of(latency.value, latency_error, 1.0).within(0.0, math.inf),
+        "max_speed": speed.times(wheel_radius, _SYSTEMATIC["max_speed"]),
+        "max_turn_rate": turn_rate.times(turn_ratio, _SYSTEMATIC["max_turn_rate"]),
+        "acceleration": acceleration.over(distance_scale, errors["acceleration"]),
+        "turn_acceleration": turn_acceleration.over(turn_scale, errors["turn_acceleration"]).times(to_turn),
         "wheel_radius": wheel_radius,
         "turn_ratio": turn_ratio,
     }
-
-
-def _widened(estimate: Estimate, systematic: float) -> Estimate:
-    return Estimate.of(estimate.value, math.hypot(estimate.half_width, 1.96 * systematic), 1.0)
-
-
-def _ratio(first: Estimate, second: Estimate, systematic: float = 0.0, factor: float = 1.0) -> Estimate:
-    """The estimate of factor * first / second, with a relative standard error of its own."""
-    return _with_relative_error(factor * first.value / second.value, first, second, systematic)
-
-
-def _product(first: Estimate, second: Estimate, systematic: float = 0.0) -> Estimate:
-    return _with_relative_error(first.value * second.value, first, second, systematic)
-
-
-def _with_relative_error(value: float, first: Estimate, second: Estimate, systematic: float) -> Estimate:
-    parts = [each.half_width / abs(each.value) for each in (first, second)]
-    return Estimate.of(value, abs(value) * math.hypot(*parts, 1.96 * systematic) / 1.96)
 
 
 def _combine(estimates: Sequence[Estimate]) -> Estimate:
@@ -259,8 +225,3 @@ def _combine(estimates: Sequence[Estimate]) -> Estimate:
     value = float(weights @ [each.value for each in known] / weights.sum())
     half = float(weights.sum() ** -0.5)
     return Estimate(value, value - half, value + half)
-
-
-def _useful(key: str, estimate: Estimate) -> Estimate:
-    """`UNKNOWN` in place of an estimate whose interval tells nothing."""
-    return estimate if estimate.half_width <= QUANTITIES[key].useful else UNKNOWN

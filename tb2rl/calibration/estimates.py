@@ -31,6 +31,15 @@ class Estimate:
         """Half of the interval."""
         return 0.5 * (self.high - self.low)
 
+    def times(self, factor: Estimate, systematic: float = 0.0) -> Estimate:
+        """The product of two estimates, with a relative standard error of its own."""
+        value, parts = self.value * factor.value, [each.half_width / each.value for each in (self, factor)]
+        return Estimate.of(value, abs(value) * math.hypot(*parts, 1.96 * systematic), 1.0)
+
+    def over(self, divisor: Estimate, systematic: float = 0.0) -> Estimate:
+        """The quotient of two estimates, with a relative standard error of its own."""
+        return self.times(Estimate.of(1.0 / divisor.value, divisor.half_width / divisor.value**2, 1.0), systematic)
+
     def within(self, low: float, high: float) -> Estimate:
         """The estimate, with all of its numbers in a possible range."""
         return Estimate(*(min(max(number, low), high) for number in (self.value, self.low, self.high)))

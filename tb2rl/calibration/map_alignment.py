@@ -64,14 +64,7 @@ class _Walls:
 
 
 class MapAlignment(Alignment):
-    """The scans and the odometry of a drive, in a map.
-
-    Args:
-        drive: The drive, with scans.
-        scans: Its scans.
-        noise: Standard deviation of the ranges [m].
-        world: The map.
-    """
+    """The scans and the odometry of a drive, in a map; `noise` is the standard deviation of the ranges [m]."""
 
     def __init__(self, drive: Drive, scans: Scans, noise: float, world: World) -> None:
         super().__init__(drive, scans, noise)

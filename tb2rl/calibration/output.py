@@ -11,7 +11,6 @@ import yaml
 
 from tb2rl.calibration.calibration import QUANTITIES, Calibration
 from tb2rl.calibration.estimates import UNKNOWN, Estimate
-from tb2rl.robots import Robot
 from tb2rl.simulation.variation import PRESETS
 
 _MAX_LATENCY = 0.3  # [s] of a robot whose latency is unknown
@@ -22,26 +21,21 @@ _NOT_NEGATIVE = ("laser_noise", "dropped")
 def robot_file(calibration: Calibration, base: str) -> str:
     """The content of the file: estimates with their intervals, and the preset `strong` for what is unknown.
 
-    Args:
-        calibration: The calibration.
-        base: Name of the nominal robot.
+    `base` is the name of the nominal robot.
     """
     estimates = calibration.estimates
     robot: dict[str, Any] = {"base": base}
-    for key, limit in zip(("max_speed", "max_turn_rate"), calibration.limits, strict=True):
+    for key in ("max_speed", "max_turn_rate"):
         if estimates[key] is not UNKNOWN:
-            robot[key] = _rounded(limit.value)
+            robot[key] = _rounded(calibration.commanded[key].value)
     if laser := _laser(calibration):
         robot["laser"] = laser
     latencies = {"latency": estimates["latency"], "observation_latency": estimates["scan_age"]}
-    seconds = {
-        key: [0.0, _MAX_LATENCY] if each is UNKNOWN else _range(each.within(0.0, 2.0))
-        for key, each in latencies.items()
-    }
+    longest = {key: _MAX_LATENCY if each is UNKNOWN else 2.0 for key, each in latencies.items()}
+    seconds = {key: _range(each.within(0.0, longest[key])) for key, each in latencies.items()}
     tree = {"robot": robot, "variation": variation_ranges(calibration), **seconds}
-    missing = "".join(
-        f"# unknown, and therefore varied widely: {key}. {text}\n" for key, text in calibration.missing.items()
-    )
+    unknown_keys = "# unknown, and therefore varied widely: {}. {}\n"
+    missing = "".join(unknown_keys.format(*item) for item in calibration.missing.items())
     return f"# A robot from `python -m tb2rl.calibrate`\n{missing}{yaml.safe_dump(tree, sort_keys=False)}"
 
 
@@ -49,15 +43,14 @@ def variation_ranges(calibration: Calibration) -> dict[str, list[float]]:
     """The ranges of the setting `task.variation`, without latencies."""
     estimates, strong = calibration.estimates, asdict(PRESETS["strong"])
     found: dict[str, Estimate] = {name: estimates[name] for name in ("wheel_radius", *_LASER)}
-    found["wheel_separation"] = _quotient(estimates["wheel_radius"], estimates["turn_ratio"])
-    found["odometry"] = calibration.forward if estimates["wheel_radius"] is not UNKNOWN else UNKNOWN
+    radius, turn_ratio = estimates["wheel_radius"], estimates["turn_ratio"]
+    found["wheel_separation"] = UNKNOWN if UNKNOWN in (radius, turn_ratio) else radius.over(turn_ratio)
+    found["odometry"] = UNKNOWN if radius is UNKNOWN else calibration.commanded["forward"]
     if calibration.robot.gyro:
         found["gyro"] = estimates["turn_scale"]
     found["acceleration"] = _acceleration(calibration)
     ranges = {name: _range(each) if each is not UNKNOWN else list(strong[name]) for name, each in found.items()}
-    return {
-        name: [max(0.0, low), high] if name in _NOT_NEGATIVE else [low, high] for name, (low, high) in ranges.items()
-    }
+    return {name: [max(0.0, low) if name in _NOT_NEGATIVE else low, high] for name, (low, high) in ranges.items()}
 
 
 def rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
@@ -82,27 +75,16 @@ def _acceleration(calibration: Calibration) -> Estimate:
     return Estimate(0.5 * (low + high), low, high).within(0.5, 2.0)
 
 
-def _quotient(first: Estimate, second: Estimate) -> Estimate:
-    if UNKNOWN in (first, second):
-        return UNKNOWN
-    value = first.value / second.value
-    return Estimate.of(
-        value, value * math.hypot(first.half_width / first.value, second.half_width / second.value) / 1.96
-    )
-
-
 def _laser(calibration: Calibration) -> Mapping[str, Any]:
     """Beams and field of view of the recorded laser, where they differ from the nominal one."""
-    scans, robot = calibration.drives[0].scans, calibration.robot
-    if scans is None or not _differs(scans.angles, robot):
+    scans = calibration.drives[0].scans
+    if scans is None:
         return {}
     count, span = len(scans.angles), float(scans.angles[-1] - scans.angles[0])
+    if abs(span - calibration.robot.laser.field_of_view) <= 0.02:
+        return {}
     full = span + span / max(1, count - 1)
     return {"beams": count, "field_of_view": math.tau if abs(full - math.tau) < 0.01 else _rounded(min(span, math.tau))}
-
-
-def _differs(angles: Any, robot: Robot) -> bool:
-    return abs(float(angles[-1] - angles[0]) - robot.laser.field_of_view) > 0.02
 
 
 def _range(estimate: Estimate) -> list[float]:

@@ -92,10 +92,8 @@ def _profile(residuals: Callable[[np.ndarray], np.ndarray], solution: Solution) 
 
     The residuals can be flat, if the odometry is rarer than the accelerations are long.
     """
-    grid, factors = (
-        np.arange(0.0, MAX_LATENCY, 0.005),
-        (0.6, 0.8, 1.0, 1.25, 1.6),
-    )  # of the accelerations, which a latency replaces
+    grid = np.arange(0.0, MAX_LATENCY, 0.005)
+    factors = (0.6, 0.8, 1.0, 1.25, 1.6)  # of the accelerations, which a latency replaces
     costs = np.array([[_cost(residuals, solution.values, each, factor) for factor in factors] for each in grid])
     fit = solution.estimate(LATENCY)
     best = min(float(costs.min()), _cost(residuals, solution.values, fit.value, 1.0))
