@@ -20,13 +20,7 @@ from tb2rl.deploy.ros.topics import TURTLEBOT2, parse_topics
 from tb2rl.evaluation.episodes import Policy, check_spaces
 from tb2rl.evaluation.evaluate import EPISODES, SEED, STEPS, evaluate, time_limit
 from tb2rl.evaluation.progress import progress
-from tb2rl.evaluation.sim_to_sim import (
-    ALL,
-    BY_SIMULATION,
-    SimToSim,
-    available_physics,
-    describe_unavailable_physics,
-)
+from tb2rl.evaluation.sim_to_sim import ALL, BY_SIMULATION, SimToSim, available_physics, describe_unavailable_physics
 from tb2rl.evaluation.suite_comparison import results_in_json
 from tb2rl.evaluation.suites import SuiteEpisode, run_suite, suite_evaluator, suite_result, suite_scene
 from tb2rl.execution.arguments import make_executor

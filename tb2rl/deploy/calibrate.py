@@ -6,7 +6,6 @@ import signal
 import sys
 import threading
 from contextlib import AbstractContextManager, closing, nullcontext
-from pathlib import Path
 from typing import cast
 
 from tb2rl.core.errors import InputError
@@ -37,7 +36,8 @@ def run(options: argparse.Namespace) -> None:
     mounting, limits = parse_mounting(options.mounting), parse_limits(options.speed)
     robot, path = find_robot(options.robot), checked_bag_path(options.out or _BAG[options.ros])
     try:
-        policy = CalibrationDrive(robot, _ask_radius() if options.free is None else _checked_radius(options.free))
+        radius = _ask_radius() if options.free is None else checked(Positive, options.free, "--free")
+        policy = CalibrationDrive(robot, radius)
     except ValueError as error:
         raise InputError(str(error)) from None
     driver, shutdown = Driver(policy, limits, mounting, options.dry_run), threading.Event()
@@ -52,7 +52,8 @@ def run(options: argparse.Namespace) -> None:
     if problem:
         raise InputError(f"the drive was cut short: {problem}{content}")
     if not options.dry_run:
-        print(f"the drive is over: {node.count} messages. Next:\n{_next_command(path)}", flush=True)
+        command = f"python -m tb2rl.calibrate {shlex.quote(str(path))} -o my_robot.yaml"
+        print(f"the drive is over: {node.count} messages. Next:\n{command}", flush=True)
 
 
 def drive(
@@ -92,14 +93,6 @@ def _ask_radius() -> float:
     if sys.stdin is None or not sys.stdin.isatty():
         raise InputError("the robot drives only if it has room: give the radius of the free space, such as --free 1.5")
     try:
-        return _checked_radius(float(input(_QUESTION)))
+        return checked(Positive, float(input(_QUESTION)), "--free")
     except (ValueError, EOFError):
         raise InputError("the radius of the free space must be a number of metres, such as 1.5") from None
-
-
-def _checked_radius(radius: float) -> float:
-    return checked(Positive, radius, "--free")
-
-
-def _next_command(bag: Path) -> str:
-    return f"python -m tb2rl.calibrate {shlex.quote(str(bag))} -o my_robot.yaml"

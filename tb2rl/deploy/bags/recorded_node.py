@@ -17,10 +17,7 @@ class RecordedNode:
     """A `Node` that writes scans, odometry, bumper events and velocity commands to a bag, and is otherwise that node.
 
     The time of a message in the bag is the ROS time at which it arrived or was sent; its header has its own stamp.
-
-    Args:
-        node: The node.
-        writer: The bag; None: nothing is recorded.
+    Without a `writer` nothing is recorded.
 
     Attributes:
         count: Number of recorded messages.

@@ -63,11 +63,8 @@ def run(options: argparse.Namespace) -> None:
 class DriverNode:
     """Connects a driver to ROS topics; prints when the robot drives, and why it stops.
 
-    Args:
-        driver: The driver; in a dry run no commands are published.
-        node: The ROS node.
-        topics: Names of the topics.
-        waits: Whether to wait for the service `~/start`; else the driver starts once the preflight finds no error.
+    In a dry run no commands are published. If the node `waits`, it drives when the service `~/start` is called; else
+    once the preflight finds no error.
     """
 
     def __init__(self, driver: Driver, node: Node, topics: DriverTopics, waits: bool) -> None:
@@ -119,14 +116,13 @@ class DriverNode:
                 self._publish(self._driver.command(self._node.now()))
             self._clock.sleep(_PUBLISH_PAUSE)
         filters = self._driver.filters
-        if filters.interventions:
-            with suppress(OSError):
+        with suppress(OSError):
+            if filters.interventions:
                 _print(f"the safety filter changed {filters.interventions} of {filters.decisions} commands")
-        if self._latencies:
-            percentiles = np.percentile(self._latencies, [50, 99], axis=0).T * 1e3
-            wall, cpu = (f"{median:.1f} ms, 99 % within {p99:.1f} ms" for median, p99 in percentiles)
-            times = f"median time from scan to command: {wall} (of processor time: {cpu})"
-            with suppress(OSError):
+            if self._latencies:
+                percentiles = np.percentile(self._latencies, [50, 99], axis=0).T * 1e3
+                wall, cpu = (f"{median:.1f} ms, 99 % within {p99:.1f} ms" for median, p99 in percentiles)
+                times = f"median time from scan to command: {wall} (of processor time: {cpu})"
                 _print(f"{len(self._latencies)} scans, {times}")
 
     # ---- callbacks, in threads of ROS

@@ -19,7 +19,7 @@ class Event(Message):
     optional = True
     why: ClassVar[str]  # reason for a stop of the driver
     part: int
-    is_active: bool
+    is_active: Annotated[bool, "state"]
 
 
 class BumperEvent(Event):
@@ -27,7 +27,6 @@ class BumperEvent(Event):
 
     type_name, why = "kobuki_msgs/BumperEvent", BUMPED
     part: Annotated[int, "bumper"]  # 0 left, 1 in the middle, 2 right
-    is_active: Annotated[bool, "state"]
 
 
 class CliffEvent(Event):
@@ -35,7 +34,6 @@ class CliffEvent(Event):
 
     type_name, why = "kobuki_msgs/CliffEvent", CLIFF
     part: Annotated[int, "sensor"]  # 0 left, 1 in the middle, 2 right
-    is_active: Annotated[bool, "state"]
 
 
 class WheelDropEvent(Event):
@@ -43,7 +41,6 @@ class WheelDropEvent(Event):
 
     type_name, why = "kobuki_msgs/WheelDropEvent", WHEEL_DROP
     part: Annotated[int, "wheel"]  # 0 left, 1 right
-    is_active: Annotated[bool, "state"]
 
 
 class ButtonEvent(Event):
@@ -51,7 +48,6 @@ class ButtonEvent(Event):
 
     type_name, why = "kobuki_msgs/ButtonEvent", BUTTON
     part: Annotated[int, "button"]
-    is_active: Annotated[bool, "state"]
 
 
 class Flag(Message):
@@ -61,21 +57,14 @@ class Flag(Message):
     is_active: Annotated[bool, "data"]
 
 
-EVENTS: dict[str, type[Event]] = {  # by the key of their topic
-    "bumper": BumperEvent,
-    "cliff": CliffEvent,
-    "wheel_drop": WheelDropEvent,
-    "button": ButtonEvent,
-}
+# By the keys of their topics:
+EVENTS = {"bumper": BumperEvent, "cliff": CliffEvent, "wheel_drop": WheelDropEvent, "button": ButtonEvent}
 
 
 def subscribe_to_events(node: Node, topics: object, callback: Callable[[Event], None]) -> bool:
     """Call a function with each event; returns whether the Kobuki's messages are installed.
 
-    Args:
-        node: The ROS node.
-        topics: An object with the topics of `EVENTS` as attributes.
-        callback: The function.
+    `topics` has the topics of `EVENTS` as attributes.
     """
     has_messages = True
     for key, event_type in EVENTS.items():
@@ -90,9 +79,10 @@ def _from_flag(event_type: type[Event], callback: Callable[[Event], None]) -> Ca
     return lambda flag: callback(event_type(0, flag.is_active))
 
 
-def create_event_publisher(node: Node, topic: str, event_type: type[Event]) -> Callable[[Event], None]:
+def create_event_publisher(node: Node, topics: object, key: str) -> Callable[[Event], None]:
     """Create a publisher of events, or of flags where the Kobuki's messages are missing; returns its `publish`."""
-    publisher = node.create_publisher(topic, event_type)
+    topic = getattr(topics, key)
+    publisher = node.create_publisher(topic, EVENTS[key])
     if publisher is not ABSENT:
         return publisher.publish
     flag_publisher = node.create_publisher(topic, Flag)

@@ -59,12 +59,7 @@ class RemoteRobot:
     - when no step follows for half a second,
     - between episodes and at the end.
 
-    Args:
-        spec: The robot, its laser, and the world of its episodes.
-        node: The ROS node; `close` closes the node, too.
-        topics: Names of the topics.
-        reader: Converts scans to the ranges of the laser.
-        limits: Limits of commands; faster ones are slowed down on the same arc.
+    Commands beyond the `limits` are slowed down on the same arc. `close` closes the `node`, too.
     """
 
     num_envs = 1

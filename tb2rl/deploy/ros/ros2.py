@@ -71,11 +71,9 @@ class Ros2Node(Node):
             except Exception:  # would end the thread that receives all topics
                 self._node.get_logger().error(f"a message on {topic} is ignored: {traceback.format_exc()}")
 
-        best_effort = QoSProfile(
-            depth=depth or qos_profile_sensor_data.depth, reliability=ReliabilityPolicy.BEST_EFFORT
-        )
-        qos = best_effort if latest_only else depth or QUEUE_SIZE
-        self._node.create_subscription(ros_type, topic, guarded, qos)
+        depth = depth or (qos_profile_sensor_data.depth if latest_only else QUEUE_SIZE)
+        best_effort = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._node.create_subscription(ros_type, topic, guarded, best_effort if latest_only else depth)
         return Endpoint(lambda: self._node.count_publishers(topic))
 
     def create_service(self, service: str, type_name: str, callback: Callable[[], str | None]) -> None:

@@ -75,9 +75,7 @@ class SimulationServer:
         self._odometry = node.create_publisher(topics.odometry, Odometry)
         self._depth = node.create_publisher(topics.depth, Image)
         self._colours = node.create_publisher(topics.colours, Image) if robot.has_colours else ABSENT
-        self._publish_events = {
-            name: create_event_publisher(node, getattr(topics, name), kind) for name, kind in EVENTS.items()
-        }
+        self._publish_events = {name: create_event_publisher(node, topics, name) for name in EVENTS}
         self._active_events = set[str]()
         inputs = topics.velocity, topics.navigation
         self._commands = [node.create_subscription(topic, Twist, self._on_command) for topic in inputs]

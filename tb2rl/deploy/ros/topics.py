@@ -47,11 +47,9 @@ class DriverTopics:
 
 
 _EVENTS2 = {key: f"/events/{key}" for key in ("bumper", "cliff", "wheel_drop", "button")}
-TURTLEBOT2 = {  # by version of ROS
-    1: DriverTopics(),
-    2: DriverTopics(velocity="/cmd_vel", goal="/goal_pose", plan="/plan", **_EVENTS2),
-}
-SIMULATED = {1: Topics(), 2: Topics(**_EVENTS2)}  # by version of ROS
+# By version of ROS:
+TURTLEBOT2 = {1: DriverTopics(), 2: DriverTopics(velocity="/cmd_vel", goal="/goal_pose", plan="/plan", **_EVENTS2)}
+SIMULATED = {1: Topics(), 2: Topics(**_EVENTS2)}
 T = TypeVar("T", Topics, DriverTopics)
 
 
