@@ -17,12 +17,7 @@ def add_policy_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser, more_simulations: str = "") -> None:
-    """Add the arguments that select a simulator, or a robot with ROS.
-
-    Args:
-        parser: The parser.
-        more_simulations: Further values of `--simulation`, for its help.
-    """
+    """Add the arguments that select a simulator, or a robot with ROS, and further values for `--simulation`'s help."""
     add_simulation(parser, f"simulator, or a robot (ros, see tb2rl/deploy/ros/README.md): {more_simulations}")
     parser.add_argument("--top-speed", type=float, metavar="M/S", help="with ROS: speed limit")
     parser.add_argument("--goal", metavar="X,Y", help="goal [m] in the world; with ROS and no map: relative to start")
@@ -31,11 +26,9 @@ def add_robot_arguments(parser: argparse.ArgumentParser, more_simulations: str =
 
 def add_simulation(parser: argparse.ArgumentParser, purpose: str, default: str | None = None) -> None:
     """Add `--simulation`, whose help starts with its `purpose` and lists the registered names."""
-    names = f"{', '.join(simulator_names())} or module:Class"
     shown_default = default or "the first physics simulator that is installed"
-    parser.add_argument(
-        "--simulation", metavar="NAME", default=default, help=f"{purpose}{names} (default: {shown_default})"
-    )
+    text = f"{purpose}{', '.join(simulator_names())} or module:Class (default: {shown_default})"
+    parser.add_argument("--simulation", metavar="NAME", default=default, help=text)
 
 
 def add_ros_arguments(parser: argparse.ArgumentParser) -> None:

@@ -113,10 +113,8 @@ def _evaluate_suite(options: argparse.Namespace) -> None:
     run_folder = _run_for_result(options) if is_kept else None
     file = run_folder.suite_file(suite.name) if run_folder else options.json
     if file is None:
-        print(
-            "not written: only a run folder's result without --set, in the default simulator or in all, is kept;"
-            " --json FILE writes any"
-        )
+        kept = "a run folder's result without --set, in the default simulator or in all, is kept"
+        print(f"not written: only {kept}; --json FILE writes any")
     executor, results, journals = make_executor(options) if options.on else None, [], []
     with executor or nullcontext():
         for simulation in _chosen_simulations(options):

@@ -144,9 +144,7 @@ def _rows(
             default = getattr(values or cls, name, parameter.empty) if is_plain else parameter.default
             configured = [default, *(tree.get(prefix, {}).get(name, default) for tree in trees)]
             changed = ["" if new == old else _text(new) for old, new in pairwise(configured)]
-            paired = {
-                other: tree[prefix][name] for other, tree in (pairs or {}).items() if name in tree.get(prefix, {})
-            }
+            paired = {k: tree[prefix][name] for k, tree in (pairs or {}).items() if name in tree.get(prefix, {})}
             key, value = f"{prefix}.{name}", "VALUE" if configured[-1] in _WITHOUT_EXAMPLE else configured[-1]
             assigned = {prefix: [{entry: {name: value}}]} if entry else {key: value} | (also or {})
             unit, meaning = described.get(name, ("", ""))

@@ -25,11 +25,7 @@ _DEFAULT_GOAL_RADIUS = 0.3  # [m] for tasks without `goal_radius` and `goal_tole
 
 
 def describe(config: Config, name: str) -> dict[str, Any]:
-    """Describe a policy without its layers, in values for JSON.
-
-    Args:
-        config: The configuration of the training.
-        name: The user's name for the policy.
+    """Describe a policy without its layers, in values for JSON; `name` is the user's name for it.
 
     Raises:
         InputError: If the actions are neither `Commands` nor `Velocities`.

@@ -47,19 +47,14 @@ if __name__ == "__main__":  # SIGINT kills the program until `main` handles it: 
 
 
 def write_folder(
-    folder: Path,
-    network: Network,
-    description: Mapping[str, Any],
-    needs: Mapping[str, Any],
-    filters: Sequence[Path] = (),
+    folder: Path, network: Network, description: Mapping[str, Any], needs: Mapping[str, Any], filters: Sequence[Path]
 ) -> None:
     """Write the folder of a policy; other files in the folder are kept.
 
     Args:
         folder: The folder, which is created if it does not exist.
         network: The layers of the policy, whose observation is not a Dict.
-        description: The description of the policy, see `describe`. The optional entry "filters" lists the filters of
-            the commands, each as {"class": name, "arguments": {...}}.
+        description: See `describe`; the entry "filters" lists the filters, each as {"class": name, "arguments": {...}}.
         needs: The requirements of the policy, see `find_portable_needs`.
         filters: The files that define the classes of the filters, see `build_program`.
 

@@ -28,13 +28,8 @@ def build_graph(
     The inputs are the parts of the observation, as for `predict`, shape (num_envs, ...). The outputs are "action", as
     from `predict`, and "command", v [m/s] and w [rad/s], shape (num_envs, 2). An LSTM reads its state from the
     inputs "hidden_0" and "cell_0", which are zeros at the start of an episode, and writes it to the outputs
-    "hidden_0_next" and "cell_0_next", shape (1, num_envs, units). A second LSTM layer has index 1.
-
-    Args:
-        network: The layers.
-        observations: The spaces of the parts of the observation, by name.
-        actions: The actions of the task, which define the commands.
-        metadata: Metadata of the file, which become JSON under the key "tb2rl".
+    "hidden_0_next" and "cell_0_next", shape (1, num_envs, units). A second LSTM layer has index 1. The `metadata` of
+    the file become JSON under the key "tb2rl".
     """
     graph = _Graph()
     parts = []

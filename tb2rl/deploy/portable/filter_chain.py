@@ -37,15 +37,16 @@ class FilterChain:
     """
 
     def __init__(self, policy: Policy, limits: SpeedLimits, mounting: Mounting | None, safe: str) -> None:
-        self._filters: list[Filter] = [*getattr(policy, "filters", ()), limits]
+        filters: list[Filter] = [*getattr(policy, "filters", ()), limits]
         self.intervention, self.decisions, self.interventions = "", 0, 0
         beams = _dense_beams(policy.needs.beams)
-        self._safety = _make_safety(policy, safe, beams, self._filters)
+        self._safety = _make_safety(policy, safe, beams, filters)
+        self._filters = [self._safety, *filters] if self._safety else filters
         self._reader = ScanReader(replace(policy.needs, beams=beams), mounting)
 
     def reset(self) -> None:
         """Start a new episode."""
-        for command_filter in [self._safety, *self._filters] if self._safety else self._filters:
+        for command_filter in self._filters:
             command_filter.reset(1)
 
     def __call__(self, speeds: Speeds, sensor_data: SensorData, scan: Scan, age: float) -> tuple[Speeds, str]:
@@ -63,16 +64,13 @@ class FilterChain:
         values = {name: getattr(sensor_data, name) for name in ("pose", "twist", "bumped", "command")}
         arrays = {name: np.array([value]) for name, value in values.items()}
         sensed_state = SensedState(ranges=sensor_data.ranges[None], age=np.array([max(age, 0.0)]), **arrays)
-        commands = filtered = np.array([speeds])
-        if self._safety:
-            ranges, problem = self._reader.read(scan)
-            if problem:
-                return speeds, f"for the safety filter, {problem}"
-            filtered = self._safety(commands, sensed_state._replace(ranges=ranges[None]))
-        safety = [self._safety] if self._safety else []
+        dense_ranges, problem = self._reader.read(scan) if self._safety else (sensor_data.ranges, "")
+        if problem:
+            return speeds, f"for the safety filter, {problem}"
+        dense_state, filtered = sensed_state._replace(ranges=dense_ranges[None]), np.array([speeds])
         for command_filter in self._filters:
-            filtered = command_filter(filtered, sensed_state)
-        self.intervention = intervention([*safety, *self._filters], 0)
+            filtered = command_filter(filtered, dense_state if command_filter is self._safety else sensed_state)
+        self.intervention = intervention(self._filters, 0)
         self.decisions, self.interventions = self.decisions + 1, self.interventions + bool(self.intervention)
         v, w = filtered[0].tolist()
         return (v, w), ""

@@ -8,10 +8,7 @@ from .policy_contract import Point, Pose, are_usable
 
 
 class PlannedPath:
-    """A fixed path to the goal.
-
-    Args:
-        points: x, y [m] in the odometry frame, shape (points, 2), the goal last.
+    """A fixed path to the goal, through points x, y [m] in the odometry frame, shape (points, 2), the goal last.
 
     Raises:
         ValueError: If there are no points, or a number is not finite, or larger than `MAX_MAGNITUDE`.

@@ -24,9 +24,6 @@ LstmState = Tuple[np.ndarray, np.ndarray]  # hidden state and cell state, each (
 class ExportedPolicy:
     """A policy that `python -m tb2rl.export POLICY FOLDER` wrote; acts greedily, that is, without exploration.
 
-    Args:
-        folder: The folder.
-
     Attributes:
         needs: The requirements of the policy.
         filters: The filters of the commands.
@@ -74,13 +71,9 @@ class ExportedPolicy:
 
 
 class Network:
-    """Maps observations to greedy actions; stores the states of the LSTM layers between calls.
+    """Maps observations to greedy actions; stores the states of the LSTM layers between calls."""
 
-    Args:
-        layers: Type and arrays by name of each layer, in order.
-    """
-
-    def __init__(self, layers: Sequence[Tuple[str, Arrays]]) -> None:
+    def __init__(self, layers: Sequence[Tuple[str, Arrays]]) -> None:  # type and arrays by name of each layer, in order
         self._layers = list(layers)
         self.reset()
 
