@@ -93,11 +93,14 @@ def solve(
         return residuals(start + steps * prior)
 
     def with_prior(steps: np.ndarray) -> np.ndarray:
-        return np.concatenate([_huberized(scaled(steps)), steps + (start - centre) / prior])
+        errors = scaled(steps)
+        huberized = np.sign(errors) * np.sqrt(2.0 * (np.sqrt(1.0 + errors**2) - 1.0))  # their squares: soft L1 loss
+        return np.concatenate([huberized, steps + (start - centre) / prior])
 
     found = least_squares(with_prior, np.zeros(len(start)), diff_step=1e-4, method="lm", max_nfev=30 * (len(start) + 1))
     steps = found.x
-    errors, jacobian = scaled(steps), _jacobian(scaled, steps)
+    errors, changes = scaled(steps), 1e-3 * np.eye(len(steps))
+    jacobian = np.array([(scaled(steps + change) - scaled(steps - change)) / 2e-3 for change in changes]).T
     weights = 1.0 / np.sqrt(1.0 + errors**2)  # of the soft L1 loss
     scores = np.zeros((int(clusters.max(initial=0)) + 1, len(start)))
     np.add.at(scores, clusters, (weights * errors)[:, None] * jacobian)
@@ -107,13 +110,3 @@ def solve(
     meat = scores.T @ scores * count / freedom + np.eye(len(start))
     covariance = bread @ meat @ bread * np.outer(prior, prior)
     return Solution(start + steps * prior, covariance, float(student.ppf(0.5 + CONFIDENCE / 2, freedom)), len(errors))
-
-
-def _huberized(errors: np.ndarray) -> np.ndarray:
-    """Residuals whose squares are the soft L1 loss."""
-    return np.sign(errors) * np.sqrt(2.0 * (np.sqrt(1.0 + errors**2) - 1.0))
-
-
-def _jacobian(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> np.ndarray:
-    steps = 1e-3 * np.eye(len(at))
-    return np.array([(function(at + step) - function(at - step)) / 2e-3 for step in steps]).T

@@ -86,11 +86,7 @@ class MapAlignment(Alignment):
         self._readings = _Readings(times, windows, ranges, directions)
 
     def solve(self) -> Solution:
-        """Fit the parameters of `Alignment`.
-
-        Raises:
-            InputError: If the scans do not fit the map.
-        """
+        """Fit the parameters of `Alignment`; raises an `InputError` if the scans do not fit the map."""
         parameters, anchors, everything = START, self._first_anchors(), np.arange(len(self._readings.times))
         for gate in _GATES:
             walls = self._nearest_walls(everything, anchors, parameters, gate)
@@ -128,9 +124,8 @@ class MapAlignment(Alignment):
         (x0, y0, x1, y1), far = self._world.bounds, _FAR
         x, y = np.arange(x0 - far, x1 + far, _CELL), np.arange(y0 - far, y1 + far, _CELL)
         cells = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        near, distances = self._tree.query_nearest(
-            shapely.points(cells), max_distance=far, return_distance=True, all_matches=False
-        )
+        points = shapely.points(cells)
+        near, distances = self._tree.query_nearest(points, max_distance=far, return_distance=True, all_matches=False)
         field = np.full(len(cells), far)
         field[near[0]] = distances
         free = cells[(field > 0.15) & ~shapely.contains_xy(self._world.obstacles, *cells.T)]

@@ -103,7 +103,7 @@ def replay(drive: Drive, scene: Scene, simulator: SimulatorType, world: World | 
         states = _drive(simulation, initial_state, commands, starts, lead + length)
     simulated = np.stack([state.pose if len(drive.truth) else state.odometry for state in states[lead:]], axis=1)
     paths = _moved(simulated, measured[begins])
-    turns = _wrapped(paths[:, -1, 2] - measured[ends, 2])
+    turns = np.mod(paths[:, -1, 2] - measured[ends, 2] + math.pi, math.tau) - math.pi
     range_errors = _range_errors(drive, times[begins], states[lead:]) if laser else None
     distances = np.hypot(*(paths[:, -1, :2] - measured[ends, :2]).T)
     return Replay(simulator.title, times[begins], paths[:, :, :2], distances, np.abs(turns), range_errors)
@@ -140,10 +140,6 @@ def _moved(poses: np.ndarray, origins: np.ndarray) -> np.ndarray:
     cos, sin = np.cos(turn), np.sin(turn)
     moved = [cos * x - sin * y + origins[:, :1], sin * x + cos * y + origins[:, 1:2], poses[:, :, 2] + turn]
     return np.stack(moved, axis=2)
-
-
-def _wrapped(angles: np.ndarray) -> np.ndarray:
-    return np.mod(angles + math.pi, math.tau) - math.pi
 
 
 def _laser(drive: Drive, nominal: Laser) -> Laser | None:

@@ -32,7 +32,6 @@ def run(arguments: argparse.Namespace) -> None:
     calibration = calibrate([read_drive(bag, topics, scans=True) for bag in arguments.bags], robot, world)
     write_text(out, robot_file(calibration, arguments.robot))
     write_text(page, calibration_page(calibration))
-    table = list(rows(calibration))
-    for label, value, interval in table:
+    for label, value, interval in rows(calibration):
         print(f"{label:34} {value:>18}   {interval}")
     print(f"wrote {out} and {page}")

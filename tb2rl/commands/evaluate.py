@@ -195,9 +195,6 @@ def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     """The robot with ROS that the arguments select; None for a simulation.
 
     With a robot, all termination signals raise `KeyboardInterrupt` from now on, so that `close` can stop the robot.
-
-    Raises:
-        InputError: If an argument is invalid.
     """
     if options.simulation in (None, ALL) or not find_simulator(options.simulation).is_external:
         refuse(options, "needs --simulation ros", "ros", "topics", "mounting", "top_speed", "ros_args")

@@ -67,11 +67,7 @@ def export_folder(reference: str | Path, folder: Path, trust: bool = False) -> N
 
 
 def _check_same_actions(act: Callable[[Mapping[str, np.ndarray]], np.ndarray], policy: BaseAlgorithm) -> None:
-    """Compare the actions of the export and of the policy, whose class may compute more than the exported layers.
-
-    Raises:
-        InputError: If the actions differ.
-    """
+    """Raise an `InputError` if the export acts unlike the policy, whose class may compute more than its layers."""
     space = policy.observation_space
     space.seed(0)
     num_samples = _NUM_IMAGES if has_images(space) else _NUM_OBSERVATIONS

@@ -31,9 +31,7 @@ _STEPS = (  # [m/s], [rad/s], duration [s]: irregular, so that a latency cannot 
 class CalibrationDrive:
     """Drives the manoeuvres once; a `Policy`. An interruption by the driver only delays them.
 
-    Args:
-        robot: The nominal robot, whose limits the commands reach.
-        radius: Of the free disc around the start [m].
+    The commands reach the limits of the nominal `robot`; `radius` is that of the free disc around the start [m].
 
     Attributes:
         done: Whether the drive is over; from then on the commands are zero.

@@ -65,11 +65,7 @@ def message_types(ros: int) -> Any:
 
 
 def rosbags_library() -> Any:
-    """Import the library `rosbags`.
-
-    Raises:
-        InputError: If the library is not installed.
-    """
+    """Import the library `rosbags`; raises an `InputError` if it is not installed."""
     try:
         import rosbags.rosbag1
         import rosbags.rosbag2

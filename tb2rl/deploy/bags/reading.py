@@ -221,11 +221,7 @@ TOPIC_KINDS: Mapping[str, TopicKind] = {  # in the order of the tables of a `Dri
 
 
 def parse_topics(pairs: Iterable[str]) -> dict[str, str]:
-    """Parse topics by kind, such as "odom=/odometry/filtered".
-
-    Raises:
-        InputError: If a pair has no "=", or its kind is unknown.
-    """
+    """Parse "odom=/odometry/filtered" and so on; raises an `InputError` for a pair without "=", or an unknown kind."""
     topics = split_pairs(pairs, "KIND=NAME, such as odom=/odometry/filtered")
     for kind in topics.keys() - TOPIC_KINDS.keys():
         raise unknown("kind of topic", kind, TOPIC_KINDS)
@@ -235,9 +231,7 @@ def parse_topics(pairs: Iterable[str]) -> dict[str, str]:
 def find_topics(available: Mapping[str, tuple[str, int]], chosen: Mapping[str, str]) -> dict[str, str]:
     """Find the topic of each kind; the result lacks kinds for which there is no topic.
 
-    Args:
-        available: Type and number of messages of each topic in the bag.
-        chosen: Topics that the user chose, by kind.
+    `available` are type and number of messages of each topic in the bag, `chosen` the user's topics, by kind.
 
     Raises:
         InputError: If a chosen topic is not in the bag, or has another type.

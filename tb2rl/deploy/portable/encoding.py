@@ -16,9 +16,7 @@ _HISTORY_DURATION = 64.0  # [s] covered by the pose history
 class Encoding:
     """Encodes sensor data as observations, with the frames of the last control steps stacked, the oldest first.
 
-    Args:
-        observation: The entry "observation" of `policy.json`.
-        needs: The requirements of the policy.
+    `observation` is the entry of this name in `policy.json`.
 
     Attributes:
         sensor_data: The latest sensor data.

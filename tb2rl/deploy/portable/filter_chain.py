@@ -19,13 +19,7 @@ _MAX_GAP = math.radians(3)  # [rad] between the beams of the safety filter
 
 
 class FilterChain:
-    """Filters the commands for one robot.
-
-    Args:
-        policy: The policy; see `Driver` for its `filters` and `safety`.
-        limits: Speed limits of the robot, which come last.
-        mounting: The pose of the scanner.
-        safe: Setting of the safety filter.
+    """Filters the commands for one robot; the speed limits come last. `Driver` explains the arguments.
 
     Attributes:
         intervention: Why the filters changed the latest command; empty if they did not, or do not say.

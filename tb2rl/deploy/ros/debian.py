@@ -58,11 +58,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def write_packages(folder: Path, interfaces: Path = INTERFACES) -> None:
-    """Generate Python packages of messages and services of ROS 1 in a folder, which the user adds to PYTHONPATH.
-
-    Raises:
-        InputError: If ROS 1 is not installed.
-    """
+    """Generate Python packages of messages and services of ROS 1 in a folder, which the user adds to PYTHONPATH."""
     find_rospy()
     from genpy.generate_initpy import write_modules
     from genpy.generator import MsgGenerator, SrvGenerator

@@ -97,11 +97,7 @@ class Node(Protocol):
         """
 
     def call(self, service: str, type_name: str) -> bool:
-        """Call a service and wait for its answer; returns whether any node offers the service.
-
-        Raises:
-            InputError: If the call fails.
-        """
+        """Call a service and wait for its answer; returns whether any node offers it. A failure is an `InputError`."""
 
     def now(self) -> float:
         """Return the ROS time [s], which is simulated time if ROS uses `/clock`."""

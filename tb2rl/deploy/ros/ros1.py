@@ -23,11 +23,7 @@ _SIM_TIME_PARAMETER = "/use_sim_time"
 
 
 class Ros1Node(Node):
-    """A node of ROS 1.
-
-    Raises:
-        InputError: If no master answers, or this process has left ROS 1 already.
-    """
+    """A node of ROS 1; raises an `InputError` if no master answers, or this process has left ROS 1 already."""
 
     version, install_hint = 1, f"on Debian and Ubuntu: {INSTALL_COMMAND}"
 

@@ -52,12 +52,8 @@ class SimulatedRobot:
     Its laser has all beams, even if the task uses only some of them. With latencies in the task's variation, commands
     take effect later, and scans and odometry are published later, with the time of their measurement.
 
-    Args:
-        scene: The robot, its worlds and its initial state.
-        simulation: The type of simulator.
-        seed: Seed of random starts and laser noise.
-        scan_rate: Scans per second [Hz].
-        long_ticks: Whether a tick lasts from scan to scan, for programs that send one command per scan.
+    The `scan_rate` is in Hz. With `long_ticks` a tick lasts from scan to scan, for programs that send one command per
+    scan. The `seed` is that of random starts and laser noise.
     """
 
     def __init__(self, scene: Scene, simulation: SimulatorType, seed: int, scan_rate: float, long_ticks: bool) -> None:

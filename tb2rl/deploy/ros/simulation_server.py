@@ -31,11 +31,7 @@ _STANDSTILL_SCAN_PERIOD = 1.0  # while the simulation waits for programs to conn
 
 
 def run(options: argparse.Namespace) -> None:
-    """Simulate until a signal ends the program.
-
-    Raises:
-        InputError: If an argument is invalid.
-    """
+    """Simulate until a signal ends the program."""
     checked(Annotated[NonNegative, Lt(math.inf)], options.rate, "--rate")
     checked(ScanRate, options.scan_rate, "--scan-rate")
     checked(Annotated[Positive, Lt(threading.TIMEOUT_MAX)] | None, options.lockstep, "--lockstep")

@@ -54,11 +54,7 @@ T = TypeVar("T", Topics, DriverTopics)
 
 
 def parse_topics(pairs: Iterable[str], defaults: T) -> T:
-    """Parse topics from the command line, such as "scan=/scan".
-
-    Raises:
-        InputError: If a pair has no "=", or a key or a topic name is invalid.
-    """
+    """Parse topics such as "scan=/scan"; raises an `InputError` for a pair without "=", or an invalid key or name."""
     return build(type(defaults), asdict(defaults) | split_pairs(pairs, "KEY=TOPIC, such as scan=/scan"), "--topics")
 
 
