@@ -26,19 +26,12 @@ _PER_LATENCY = 4.0  # [1/s] relative error of an acceleration for an error of th
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is estimated.
+    """What is estimated."""
 
-    Attributes:
-        label: For tables.
-        unit: Of the value, or an empty string for ratios.
-        useful: Largest half of an interval that still tells something; with a wider one the quantity is unknown.
-        manoeuvre: What would tell the quantity.
-    """
-
-    label: str
-    unit: str
-    useful: float
-    manoeuvre: str
+    label: str  # for tables
+    unit: str  # of the value, or an empty string for ratios
+    useful: float  # largest half of an interval that still tells something; with a wider one the quantity is unknown
+    manoeuvre: str  # what would tell the quantity
 
 
 _STEPS, _FAST = "start and stop at irregular times", "drive straight at full speed for a second"
@@ -77,23 +70,15 @@ _SPARSE = {  # added for each radian between two beams, as the lines of sparse b
 
 @dataclass(frozen=True)
 class Calibration:
-    """The estimates of a robot.
+    """The estimates of a robot."""
 
-    Attributes:
-        estimates: By the keys of `QUANTITIES`; `UNKNOWN` where the drives do not tell.
-        commanded: Of commands, the largest speed "max_speed" [m/s] and turn rate "max_turn_rate" [rad/s], beyond which
-            the robot goes no faster; "forward" and "turn" are the speeds by odometry / commanded speeds.
-        robot: The nominal robot.
-        responses: The fits of the speeds, one per drive.
-        alignments: Parameters of `Alignment`, one per drive; its start values without scans.
-        drives: The drives.
-    """
-
-    estimates: Mapping[str, Estimate]
+    estimates: Mapping[str, Estimate]  # by the keys of `QUANTITIES`; `UNKNOWN` where the drives do not tell
+    # Of commands, the largest speed "max_speed" [m/s] and turn rate "max_turn_rate" [rad/s], beyond which the robot
+    # goes no faster; "forward" and "turn" are the speeds by odometry / commanded speeds:
     commanded: Mapping[str, Estimate]
-    robot: Robot
-    responses: Sequence[Response]
-    alignments: Sequence[np.ndarray]
+    robot: Robot  # the nominal one
+    responses: Sequence[Response]  # the fits of the speeds, one per drive
+    alignments: Sequence[np.ndarray]  # parameters of `Alignment`, one per drive; its start values without scans
     drives: Sequence[Drive]
 
     @property

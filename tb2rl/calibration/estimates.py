@@ -50,19 +50,12 @@ UNKNOWN = Estimate(math.nan, -math.inf, math.inf)
 
 @dataclass(frozen=True)
 class Solution:
-    """Parameters from `solve`, and their covariance.
+    """Parameters from `solve`, and their covariance."""
 
-    Attributes:
-        values: Shape (parameters,).
-        covariance: Shape (parameters, parameters).
-        quantile: Of Student's t, for an interval of 95 %.
-        count: Number of residuals.
-    """
-
-    values: np.ndarray
-    covariance: np.ndarray
-    quantile: float
-    count: int = 1
+    values: np.ndarray  # shape (parameters,)
+    covariance: np.ndarray  # shape (parameters, parameters)
+    quantile: float  # of Student's t, for an interval of 95 %
+    count: int = 1  # number of residuals
 
     def estimate(self, index: int, systematic: float = 0.0) -> Estimate:
         """The estimate of a parameter, with a standard error that the data cannot show."""

@@ -29,23 +29,14 @@ _MAX_OFFSET = math.radians(5)  # [rad] a scanner that is turned by more is not s
 
 @dataclass(frozen=True)
 class Replay:
-    """The windows of a drive, measured and simulated, both from the measured pose at the start of each window.
+    """The windows of a drive, measured and simulated, both from the measured pose at the start of each window."""
 
-    Attributes:
-        simulation: Title of the simulator.
-        times: Start of each window, in the time of the drive [s], shape (windows,).
-        paths: Simulated x, y [m] in the frame of the measured path, shape (windows, steps + 1, 2).
-        distances: Between the simulated and the measured position at the end of each window [m], shape (windows,).
-        turns: Between the two headings there [rad], shape (windows,).
-        range_errors: Median difference of the ranges there [m], shape (windows,); None without a world or scans.
-    """
-
-    simulation: str
-    times: np.ndarray
-    paths: np.ndarray
-    distances: np.ndarray
-    turns: np.ndarray
-    range_errors: np.ndarray | None
+    simulation: str  # title of the simulator
+    times: np.ndarray  # [s] start of each window, in the time of the drive, shape (windows,)
+    paths: np.ndarray  # simulated x, y [m] in the frame of the measured path, shape (windows, steps + 1, 2)
+    distances: np.ndarray  # [m] of simulated and measured positions at the ends of the windows, shape (windows,)
+    turns: np.ndarray  # [rad] between the two headings there, shape (windows,)
+    range_errors: np.ndarray | None  # [m] median difference of the ranges there, (windows,); None: no world or scans
 
     def __str__(self) -> str:
         turn = math.degrees(np.median(self.turns))

@@ -69,14 +69,11 @@ def drive(
 
 
 class CalibrationNode(DriverNode):
-    """A driver node that ends with its policy, and at a contact or a call of `~/stop`.
-
-    Attributes:
-        stopped: Why the drive was stopped before its end, or an empty string.
-    """
+    """A driver node that ends with its policy, and at a contact or a call of `~/stop`."""
 
     def __init__(self, driver: Driver, policy: CalibrationDrive, node: RecordedNode, topics: DriverTopics) -> None:
-        self._policy, self._recorded_node, self.stopped = policy, node, ""
+        self._policy, self._recorded_node = policy, node
+        self.stopped = ""  # why the drive was stopped before its end
         super().__init__(driver, cast(Node, node), topics, waits=False)
 
     def _is_over(self) -> bool:

@@ -32,15 +32,10 @@ class Layer(NamedTuple):
 
 @dataclass(frozen=True)
 class Network:
-    """The layers from observations to actions.
+    """The layers from observations to actions."""
 
-    Attributes:
-        inputs: The layers of each part of the observation, by name; their outputs are concatenated in this order.
-        layers: The layers after the concatenation; the last one returns the action of `predict`.
-    """
-
-    inputs: Mapping[str, tuple[Layer, ...]]
-    layers: tuple[Layer, ...]
+    inputs: Mapping[str, tuple[Layer, ...]]  # by part of the observation; their outputs are concatenated in this order
+    layers: tuple[Layer, ...]  # after the concatenation; the last one returns the action of `predict`
 
     def sequence(self) -> list[Layer]:
         """All layers of a network whose observation is not a Dict."""

@@ -33,29 +33,19 @@ class Drive:
     """A recorded drive. Each table has a row per message, or no rows if the bag lacks such messages.
 
     The first column of each table is the time since the first message [s].
-
-    Attributes:
-        name: Name of the bag.
-        topics: The topics of the tables, by the kinds of `TOPIC_KINDS`.
-        odometry: Time, x [m], y [m], yaw [rad], forward speed [m/s], turn rate [rad/s], and age of the message when it
-            arrived [s], shape (messages, 7).
-        truth: True motion in the world's frame, from a simulation, with the columns of `odometry`.
-        scan_minima: Time, shortest range of a scan [m], inf without an obstacle in range, shape (messages, 2).
-        commands: Time, v [m/s], w [rad/s], shape (messages, 3).
-        bumper: Time, 1 if the bumper is pressed, else 0, shape (messages, 2).
-        goals: Time, x [m], y [m], shape (messages, 3).
-        scans: The full scans, if they were asked for and the bag has any.
     """
 
-    name: str
-    topics: Mapping[str, str]
+    name: str  # of the bag
+    topics: Mapping[str, str]  # of the tables, by the kinds of `TOPIC_KINDS`
+    # Time, x [m], y [m], yaw [rad], forward speed [m/s], turn rate [rad/s], and age of the message when it arrived [s],
+    # shape (messages, 7):
     odometry: np.ndarray
-    truth: np.ndarray
-    scan_minima: np.ndarray
-    commands: np.ndarray
-    bumper: np.ndarray
-    goals: np.ndarray
-    scans: Scans | None = field(default=None, kw_only=True)
+    truth: np.ndarray  # true motion in the world's frame, from a simulation, with the columns of `odometry`
+    scan_minima: np.ndarray  # time, shortest range of a scan [m], inf without an obstacle in range, shape (messages, 2)
+    commands: np.ndarray  # time, v [m/s], w [rad/s], shape (messages, 3)
+    bumper: np.ndarray  # time, 1 if the bumper is pressed, else 0, shape (messages, 2)
+    goals: np.ndarray  # time, x [m], y [m], shape (messages, 3)
+    scans: Scans | None = field(default=None, kw_only=True)  # the full scans, if they were asked for and there are any
 
     @property
     def trajectory(self) -> np.ndarray:

@@ -18,17 +18,13 @@ class RecordedNode:
 
     The time of a message in the bag is the ROS time at which it arrived or was sent; its header has its own stamp.
     Without a `writer` nothing is recorded.
-
-    Attributes:
-        count: Number of recorded messages.
-        error: Why the bag could not be written, if it could not.
     """
 
     def __init__(self, node: Node, writer: BagWriter | None) -> None:
         self._node, self._writer, self._uses_sim_time = node, writer, node.uses_sim_time()
         self._lock, self._last_time = threading.Lock(), 0  # [ns]
-        self.count = 0
-        self.error: Exception | None = None
+        self.count = 0  # recorded messages
+        self.error: Exception | None = None  # why the bag could not be written
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._node, name)

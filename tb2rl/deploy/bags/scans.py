@@ -17,19 +17,12 @@ _MAX_AGE = 10.0  # [s] a message that seems older has the stamp of another clock
 
 @dataclass(frozen=True)
 class Scans:
-    """Scans with equal beams, in the order of their stamps.
+    """Scans with equal beams, in the order of their stamps."""
 
-    Attributes:
-        times: Stamps, in the time of the drive [s], shape (scans,).
-        ages: From the stamp to the arrival in the bag [s], shape (scans,).
-        ranges: [m] inf without an obstacle in range, NaN if not measured, shape (scans, beams), right to left.
-        angles: Directions of the beams in the scanner's frame [rad], shape (beams,), ascending.
-    """
-
-    times: np.ndarray
-    ages: np.ndarray
-    ranges: np.ndarray
-    angles: np.ndarray
+    times: np.ndarray  # [s] stamps, in the time of the drive, shape (scans,)
+    ages: np.ndarray  # [s] from the stamp to the arrival in the bag, shape (scans,)
+    ranges: np.ndarray  # [m] inf without an obstacle in range, NaN if not measured, (scans, beams), right to left
+    angles: np.ndarray  # [rad] directions of the beams in the scanner's frame, shape (beams,), ascending
 
 
 @dataclass

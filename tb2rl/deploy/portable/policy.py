@@ -24,11 +24,7 @@ LstmState = Tuple[np.ndarray, np.ndarray]  # hidden state and cell state, each (
 class ExportedPolicy:
     """A policy that `python -m tb2rl.export POLICY FOLDER` wrote; acts greedily, that is, without exploration.
 
-    Attributes:
-        needs: The requirements of the policy.
-        filters: The filters of the commands.
-        safety: Facts about the robot for `Safety`.
-        observation: The last observation, shape (1, n).
+    Its `observation` is the last one, shape (1, n).
 
     Raises:
         ValueError: If the folder does not hold such a policy, or a version of tb2rl with another format wrote it.

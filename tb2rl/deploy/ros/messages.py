@@ -36,16 +36,11 @@ class Message:
     """A ROS message as a plain value; subclasses become frozen dataclasses.
 
     The annotation of a field contains the path of the field in the ROS message, or the paths of the items of a tuple.
-
-    Attributes:
-        type_name: Message type in ROS, such as "sensor_msgs/LaserScan".
-        optional: Whether some installations of ROS lack this type.
-        latest_only: Whether a subscriber needs only the newest message.
     """
 
-    type_name: ClassVar[str]
-    optional: ClassVar[bool] = False
-    latest_only: ClassVar[bool] = False
+    type_name: ClassVar[str]  # in ROS, such as "sensor_msgs/LaserScan"
+    optional: ClassVar[bool] = False  # whether some installations of ROS lack this type
+    latest_only: ClassVar[bool] = False  # whether a subscriber needs only the newest message
     _paths: ClassVar[dict[str, tuple[str, ...]]]  # by field
 
     def __init_subclass__(cls) -> None:
