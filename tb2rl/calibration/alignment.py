@@ -6,8 +6,6 @@ Lines are fitted to neighbouring readings. The middles of lines in partner scans
 direction, as seen from a reference scan. Only relative poses over some seconds count, so that odometry may drift.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -95,10 +93,14 @@ class Alignment:
         """Readings x, y [m] of scans in one frame, shape (readings, 2)."""
         ranges = self._ranges[numbers] - parameters[BIAS]
         readings = (ranges[..., None] * unit_vectors(self._angles)).reshape(-1, 2)
-        times = np.repeat(self._scan_times[numbers] - parameters[DELAY], len(self._angles))
-        on_robot = transform(parameters[None, [X, Y, YAW]], readings)
-        found = transform(self.poses(times, parameters), on_robot)
+        times = np.repeat(self._scan_times[numbers], len(self._angles))
+        found = self._to_floor(readings, times, parameters)
         return found[np.isfinite(found[:, 0])]
+
+    def _to_floor(self, points: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Points in the laser's frame at stamps [s], in the frame of the odometry; both have the shape (points, 2)."""
+        on_robot = transform(parameters[None, [X, Y, YAW]], points)
+        return transform(self.poses(times - parameters[DELAY], parameters), on_robot)
 
     def _match(self, parameters: np.ndarray, span: float, gate: float, rng: np.random.Generator) -> Matches:
         """Pair scans up to `span` [s] apart, and readings with lines up to `gate` [m] apart."""
@@ -165,10 +167,9 @@ class Alignment:
         self, readings: np.ndarray, reference_times: np.ndarray, partner_times: np.ndarray, parameters: np.ndarray
     ) -> np.ndarray:
         """Move readings from the laser's frame at the partner's times into that at the reference's times."""
-        mounting, delay = parameters[[X, Y, YAW]], parameters[DELAY]
-        poses = self.poses(partner_times - delay, parameters), self.poses(reference_times - delay, parameters)
-        on_floor = transform(poses[0], transform(mounting[None], readings))
-        return inverse(mounting[None], inverse(poses[1], on_floor))
+        references = self.poses(reference_times - parameters[DELAY], parameters)
+        on_robot = inverse(references, self._to_floor(readings, partner_times, parameters))
+        return inverse(parameters[None, [X, Y, YAW]], on_robot)
 
     def _distances(self, parameters: np.ndarray, matches: Matches, bias: float) -> np.ndarray:
         """Distances of readings from their lines [m], shape (matches,); both were made with a `bias`."""

@@ -1,7 +1,5 @@
 """The calibration of a robot: all quantities that a drive shows, with intervals, and what would show the others."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The laser's noise and its share of dropped beams."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tb2rl.calibration.estimates import UNKNOWN, Estimate

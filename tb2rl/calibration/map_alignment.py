@@ -6,27 +6,12 @@ the map draws too thick. The first pose is found by the distances from readings 
 Thrun, Burgard and Fox 2005, "Probabilistic Robotics", section 6.4).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
 
-from tb2rl.calibration.alignment import (
-    BIAS,
-    DELAY,
-    PRIOR,
-    START,
-    YAW,
-    Alignment,
-    X,
-    Y,
-    inverse,
-    spread_indices,
-    transform,
-    unit_vectors,
-)
+from tb2rl.calibration.alignment import BIAS, PRIOR, START, Alignment, inverse, spread_indices, transform, unit_vectors
 from tb2rl.calibration.estimates import Solution, solve
 from tb2rl.core import InputError
 from tb2rl.deploy.bags.reading import Drive
@@ -154,8 +139,7 @@ class MapAlignment(Alignment):
         """Readings, shortened by `shift` [m], in the frame of the robot at the start of their window, (readings, 2)."""
         each = self._readings
         on_laser = (each.ranges - parameters[BIAS] - shift)[:, None] * each.beams
-        on_robot = transform(parameters[None, [X, Y, YAW]], on_laser)
-        on_floor = transform(self.poses(each.times - parameters[DELAY], parameters), on_robot)
+        on_floor = self._to_floor(on_laser, each.times, parameters)
         return inverse(self.poses(self._starts, parameters)[each.windows], on_floor)
 
     def _nearest_walls(self, readings: np.ndarray, anchors: np.ndarray, parameters: np.ndarray, gate: float) -> _Walls:

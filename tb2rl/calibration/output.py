@@ -1,7 +1,5 @@
 """The robot file of a calibration, see `tb2rl.robots.robot_file`, and its table for the terminal."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict

@@ -4,8 +4,6 @@ The model is that of the kinematic simulator: a command takes effect after a lat
 accelerate evenly to their new speeds.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Full scans from bags, in one table."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any

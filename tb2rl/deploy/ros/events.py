@@ -3,8 +3,6 @@
 Where the Kobuki's messages are not installed, `std_msgs/Bool` takes their place: true while the event lasts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, ClassVar
 
