@@ -14,7 +14,7 @@ import numpy as np
 
 from tb2rl.core import InputError
 from tb2rl.core.values import Pose
-from tb2rl.deploy.bags.reading import Drive
+from tb2rl.deploy.bags.reading import Drive, moved
 from tb2rl.deploy.trained import make_empty_world
 from tb2rl.envs.scene import Scene
 from tb2rl.robots import Laser
@@ -90,10 +90,10 @@ def replay(drive: Drive, scene: Scene, simulator: SimulatorType, world: World | 
     with closing(simulator.open(spec, len(starts), processes=1)) as simulation:
         *_, reached = _drive(simulation, initial_state, commands, starts, lead)
         # The robot begins at rest, so it does not reach the measured pose; as much farther ahead it does.
-        initial_state.pose[:] = _moved(np.stack([reached.pose, measured[starts]], axis=1), measured[begins])[:, 1]
+        initial_state.pose[:] = moved(np.stack([reached.pose, measured[starts]], axis=1), measured[begins])[:, 1]
         states = _drive(simulation, initial_state, commands, starts, lead + length)
     simulated = np.stack([state.pose if len(drive.truth) else state.odometry for state in states[lead:]], axis=1)
-    paths = _moved(simulated, measured[begins])
+    paths = moved(simulated, measured[begins])
     turns = np.mod(paths[:, -1, 2] - measured[ends, 2] + math.pi, math.tau) - math.pi
     range_errors = _range_errors(drive, times[begins], states[lead:]) if laser else None
     distances = np.hypot(*(paths[:, -1, :2] - measured[ends, :2]).T)
@@ -110,11 +110,9 @@ def _drive(
 
 def _poses(drive: Drive, start: Pose | None) -> np.ndarray:
     """Time, x, y and continuous yaw of the drive, moved so that it begins at `start`, shape (messages, 4)."""
-    times, _, _, yaw = drive.trajectory[:, :4].T
-    yaw = np.unwrap(yaw)
-    if start is None:
-        return np.column_stack([times, drive.trajectory[:, 1:3], yaw])
-    return np.column_stack([times, drive.path_from(start), yaw + start[2] - yaw[0]])
+    times, x, y, yaw = drive.trajectory[:, :4].T
+    poses = np.column_stack([x, y, np.unwrap(yaw)])
+    return np.column_stack([times, poses if start is None else moved(poses, np.array(start))])
 
 
 def _commands_at(drive: Drive, times: np.ndarray) -> np.ndarray:
@@ -122,15 +120,6 @@ def _commands_at(drive: Drive, times: np.ndarray) -> np.ndarray:
     sent = np.searchsorted(drive.commands[:, 0], times + 1e-6, side="right") - 1
     commands, age = drive.commands[sent, 1:], times - drive.commands[sent, 0]
     return np.where(((sent >= 0) & (age < _TIMEOUT))[:, None], commands, 0.0)
-
-
-def _moved(poses: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """Move paths (windows, steps, 3) so that they begin at other poses (windows, 3)."""
-    turn = (origins[:, 2] - poses[:, 0, 2])[:, None]
-    x, y = np.moveaxis(poses[:, :, :2] - poses[:, :1, :2], 2, 0)
-    cos, sin = np.cos(turn), np.sin(turn)
-    moved = [cos * x - sin * y + origins[:, :1], sin * x + cos * y + origins[:, 1:2], poses[:, :, 2] + turn]
-    return np.stack(moved, axis=2)
 
 
 def _laser(drive: Drive, nominal: Laser) -> Laser | None:

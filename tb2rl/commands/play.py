@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> None:
         if arguments.bag:
             _report_files(record(policy, arguments.bag, config, options=options))
         elif arguments.video:
-            name = arguments.policy and _policy_name(arguments)
+            name = arguments.policy and _policy_name(arguments.policy)
             _report_files([film(policy, arguments.video, config, options=replace(options, name=name))])
         else:
             _drive_live(arguments, policy, config, options)
@@ -80,10 +80,9 @@ def _goal_settings(config: Config, arguments: argparse.Namespace) -> dict[str, A
     return {"goal": list(parse_goal(arguments.goal)), **start}
 
 
-def _policy_name(arguments: argparse.Namespace) -> str:
-    """Name of the policy or the agent."""
-    policy = arguments.agent or arguments.policy.removeprefix("zoo:").removeprefix(HUB)
-    return Path(policy).resolve().name.removesuffix(SUFFIX).replace(":", ".")
+def _policy_name(reference: str) -> str:
+    policy = Path(reference.removeprefix("zoo:").removeprefix(HUB))
+    return policy.resolve().name.removesuffix(SUFFIX).replace(":", ".")
 
 
 def _report_files(paths: list[Path]) -> None:

@@ -79,9 +79,16 @@ class Drive:
 
     def path_from(self, pose: Pose) -> np.ndarray:
         """Return the path x, y [m], shape (messages, 2), shifted and rotated so that it begins at a pose."""
-        _, x, y, yaw, *_ = self.trajectory[0].tolist()
-        cos, sin = math.cos(pose[2] - yaw), math.sin(pose[2] - yaw)
-        return (self.trajectory[:, 1:3] - (x, y)) @ np.array([(cos, sin), (-sin, cos)]) + pose[:2]
+        return moved(self.trajectory[:, 1:4], np.array(pose))[:, :2]
+
+
+def moved(paths: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Move paths of poses x, y, yaw, shape (..., poses, 3), so that they begin at other poses, shape (..., 3)."""
+    turn = (starts[..., 2] - paths[..., 0, 2])[..., None]
+    x, y = np.moveaxis(paths[..., :2] - paths[..., :1, :2], -1, 0)
+    cos, sin = np.cos(turn), np.sin(turn)
+    columns = cos * x - sin * y + starts[..., :1], sin * x + cos * y + starts[..., 1:2], paths[..., 2] + turn
+    return np.stack(columns, axis=-1)
 
 
 def is_bag(path: Path) -> bool:

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from tb2rl.deploy.bags.reading import moved
 from tb2rl.deploy.bags.writing import BagWriter, open_writer
 from tb2rl.deploy.ros import messages as msg
 from tb2rl.deploy.ros.events import bumper_events
@@ -67,7 +68,8 @@ class Recorder:
         pose, odometry = robot_state.pose[0].tolist(), robot_state.odometry[0].tolist()
         twist, odometry_twist = robot_state.twist[0].tolist(), robot_state.odometry_twist[0].tolist()
         self._write("/clock", msg.Clock(self._now))
-        map_to_odom = self._make_transform(MAP, ODOM, *_odometry_origin(pose, odometry))
+        _, odometry_origin = moved(np.array([odometry, (0.0, 0.0, 0.0)]), np.array(pose)).tolist()
+        map_to_odom = self._make_transform(MAP, ODOM, *odometry_origin)
         self._write("/tf", msg.Transforms((map_to_odom, self._make_transform(ODOM, BASE, *odometry))))
         self._write("/ground_truth", msg.Odometry(self._now, MAP, BASE, pose, twist))
         odometry_message = msg.Odometry(self._now, ODOM, BASE, odometry, odometry_twist)
@@ -101,14 +103,6 @@ class Recorder:
 
     def _write(self, topic: str, message: Any, age: int = 0) -> None:
         self._writer.write(topic, message, self._now + age)
-
-
-def _odometry_origin(pose: tuple[float, float, float], odometry: list[float]) -> tuple[float, float, float]:
-    """Return the pose x, y, yaw of the odometry frame in the world, from the poses of a robot in both frames."""
-    yaw = pose[2] - odometry[2]
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    x, y = odometry[0] * cos - odometry[1] * sin, odometry[0] * sin + odometry[1] * cos
-    return pose[0] - x, pose[1] - y, yaw
 
 
 @contextmanager
