@@ -4,7 +4,7 @@ from copy import copy
 from typing import NamedTuple
 
 import numpy as np
-from mujoco import MjData, MjModel, mj_camlight, mj_kinematics, mj_setConst, mj_step
+from mujoco import MjData, MjModel, mj_setConst
 
 from tb2rl.robots import Robot
 from tb2rl.simulation.mujoco.models import quaternion, vary_model
@@ -17,7 +17,7 @@ _ABSENT = (0.0, 0.0, -100.0)  # [m] position of an obstacle that is absent in an
 class Models(NamedTuple):
     """Models that differ in their time steps only, so that both can step the same data."""
 
-    coarse: MjModel
+    coarse: MjModel  # where the robot cannot touch anything
     fine: MjModel  # for the motion near obstacles; `FINE_STEPS` of its time steps are one of the coarse model
 
 
@@ -26,6 +26,7 @@ class RobotBody:
 
     Attributes:
         models, data: MuJoCo's models and data.
+        wheel_rates: View of the target rates of the left and the right wheel's motors [rad/s].
         joints: View of the positions of the joints: x, y, z [m] and yaw [rad] of the base, angles [rad] of the wheels.
         rates: View of their velocities [m/s or rad/s].
         warm_start: View of the accelerations from which the solver starts [m/s^2 or rad/s^2].
@@ -39,7 +40,7 @@ class RobotBody:
         self.models, self.data = models, MjData(models.coarse)
         self._nominal: Models | None = None  # those of which `models` are varied copies
         self.joints, self.rates, self.warm_start = self.data.qpos, self.data.qvel, self.data.qacc_warmstart
-        self._wheel_rates, self._obstacles = self.data.ctrl, range(models.coarse.nmocap)
+        self.wheel_rates, self._obstacles = self.data.ctrl, range(models.coarse.nmocap)
 
     def vary(self, nominal: Models, robot: Robot, *ratios: float) -> None:
         """Become a robot with other mass, friction and torque, see `vary_model`, in the world of nominal models."""
@@ -61,20 +62,3 @@ class RobotBody:
             x, y, cos, sin, length, _ = outlines[obstacle].tolist()
             self.data.mocap_pos[obstacle] = (x, y, WALL_HEIGHT / 2) if length > 0.0 else _ABSENT
             self.data.mocap_quat[obstacle] = quaternion(cos, sin)
-
-    def set_wheel_rates(self, rates: np.ndarray) -> None:
-        """Set the target rates [rad/s] of the left and the right wheel's motors."""
-        self._wheel_rates[:] = rates
-
-    def step(self, count: int) -> None:
-        """Run time steps of the coarse model, where the robot cannot touch anything."""
-        mj_step(self.models.coarse, self.data, count)
-
-    def step_finely(self, count: int) -> None:
-        """Run time steps of the fine model."""
-        mj_step(self.models.fine, self.data, count)
-
-    def update_positions(self) -> None:
-        """Compute the positions of all bodies and of the camera, for an image."""
-        mj_kinematics(self.models.coarse, self.data)
-        mj_camlight(self.models.coarse, self.data)

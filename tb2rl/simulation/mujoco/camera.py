@@ -51,6 +51,8 @@ class CameraRenderer:
         colours, z = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
         viewport, every_object = mujoco.MjrRect(0, 0, width, height), mujoco.mjtCatBit.mjCAT_ALL
         self._window.make_current()
+        mujoco.mj_kinematics(model, data)  # positions of all bodies
+        mujoco.mj_camlight(model, data)  # position of the camera
         mujoco.mjv_updateScene(model, data, self._option, None, self._camera, every_object, self._scene)
         mujoco.mjr_render(viewport, self._scene, self._context)
         mujoco.mjr_readPixels(colours, z, viewport, self._context)

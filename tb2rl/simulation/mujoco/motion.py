@@ -71,11 +71,7 @@ def _measure(first, end, constants, before, robots, step, obstacles, scratch):
     left_wheel, right_wheel = step.wheels
     for i in range(first, end):
         robots.records[i] = before[i]
-        robot, separation, (left_wheel, right_wheel) = (
-            robots.records[i],
-            robots.initial_states[i].wheel_separation,
-            step.wheels,
-        )
+        robot, separation = robots.records[i], robots.initial_states[i].wheel_separation
         yaw, last_x, last_y, last_speed = step.joints[i, YAW], robot.pose[0], robot.pose[1], robot.twist[0]
         robot.command[0], robot.command[1] = step.commands[i, 0], step.commands[i, 1]
         robot.pose[0], robot.pose[1] = step.joints[i, X], step.joints[i, Y]

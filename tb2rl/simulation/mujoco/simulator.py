@@ -7,7 +7,7 @@ from copy import copy
 from typing import Any
 
 import numpy as np
-from mujoco import MjModel
+from mujoco import mj_step
 
 from tb2rl.core.errors import InputError
 from tb2rl.simulation.arrays.robots import ROBOT, RobotArrays
@@ -79,16 +79,13 @@ class MujocoSimulator(ArraySimulator):
     def _models_of_world(self, world: int) -> Models:
         """Models for the nominal robot in a world."""
         if world not in self._models:
-            self._models[world] = self._make_pair(make_model(self.spec, world, self._obstacles.sizes(world)))
+            model = make_model(self.spec, world, self._obstacles.sizes(world))
+            self._models[world] = Models(model, copy(model))
+            self._set_time_steps(self._models[world])
             if len(self._models) > _MAX_MODELS:
                 self._models.popitem(last=False)
         self._models.move_to_end(world)
         return self._models[world]
-
-    def _make_pair(self, model: MjModel) -> Models:
-        models = Models(model, copy(model))
-        self._set_time_steps(models)
-        return models
 
     def _set_time_steps(self, models: Models) -> None:
         set_time_step(models.coarse, self.spec.robot, self._time_step)
@@ -130,7 +127,7 @@ class MujocoSimulator(ArraySimulator):
         for i in range(first, end):
             body = self._bodies[i]
             if inactive is None or not inactive[i]:
-                body.set_wheel_rates(step.wheel_rates[i])
+                body.wheel_rates[:] = step.wheel_rates[i]
                 if obstacles is not None:
                     body.place_obstacles(self._obstacles.outlines[i])
                 free_steps = int(step.free_steps[i])
@@ -146,7 +143,7 @@ class MujocoSimulator(ArraySimulator):
         body, touched, reach = self._bodies[i], False, self._reach(i)
         while steps:
             if free_steps:
-                body.step(free_steps * self.spec.substeps)
+                mj_step(body.models.coarse, body.data, free_steps * self.spec.substeps)
             else:
                 touched = self._step_finely(i) or touched
             steps -= max(free_steps, 1)
@@ -174,9 +171,9 @@ class MujocoSimulator(ArraySimulator):
 
     def _step_finely(self, i: int) -> bool:
         """Run a physics step near obstacles; returns whether the robot touched a wall, however shortly."""
-        touched = False
+        body, touched = self._bodies[i], False
         for _ in range(FINE_STEPS):
-            self._bodies[i].step_finely(self.spec.substeps)
+            mj_step(body.models.fine, body.data, self.spec.substeps)
             touched = touched or self._gap_to_walls(i) < _CONTACT
         return touched
 
@@ -211,22 +208,18 @@ class MujocoSimulator(ArraySimulator):
             body.place(pose)
             if outlines is not None:
                 body.place_obstacles(outlines[i])
-            body.update_positions()
             if self._renderer is None or self._renderer.size != (width, height):
-                self._close_renderer()
+                self.close()
                 self._renderer = CameraRenderer(body.models.coarse, width, height)
             images.append(self._renderer.render(body.models.coarse, body.data))
         colours, depth = zip(*images, strict=True)
         return np.stack(colours), np.stack(depth)
 
-    def _close_renderer(self) -> None:
+    def close(self) -> None:
+        """Free the memory of the camera's renderer."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-    def close(self) -> None:
-        """Free the memory of the camera's renderer."""
-        self._close_renderer()
 
     def __getstate__(self) -> dict[str, Any]:
         motions = [[np.array(getattr(body, name)) for name in _MOTION] for body in self._bodies]
