@@ -12,8 +12,7 @@ import pytest
 import tb2rl
 from tb2rl import benchmark
 from tb2rl.core.errors import InputError
-from tb2rl.simulation import bullet, mujoco
-from tb2rl.simulation.simulator import default_physics, default_simulator
+from tb2rl.simulation.simulator import default_physics, default_simulator, import_problem
 from tb2rl.viz.film import FilmOptions, film
 from tb2rl.zoo import __main__ as zoo
 
@@ -29,7 +28,7 @@ REASONS = {
 
 def clear_caches():
     """Forget which simulators can run here."""
-    for cached in (bullet.unavailable, mujoco.unavailable, default_simulator):
+    for cached in (import_problem, default_simulator):
         cached.cache_clear()
 
 

@@ -113,6 +113,7 @@ class SimulatorType:
 NOT_INSTALLED = "is not installed"  # the result of `SimulatorType.unavailable` for a missing package
 
 
+@cache
 def import_problem(module: str, package: str) -> str | None:
     """Import a module; return why that fails, for `SimulatorType.unavailable`, or None. It needs a `package`."""
     try:

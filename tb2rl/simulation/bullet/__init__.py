@@ -1,16 +1,10 @@
 """PyBullet's rigid-body physics, the reference for evaluations; PyBullet is imported at its first use."""
 
-from functools import cache
+from functools import partial
 from typing import Any
 
 from tb2rl.simulation.simulator import SimulatorType, import_problem
 from tb2rl.simulation.spec import SimulationSpec
-
-
-@cache
-def unavailable() -> str | None:
-    """Reason why PyBullet is unavailable, such as "is not installed"; None: PyBullet is available."""
-    return import_problem("tb2rl.simulation.bullet.client", "pybullet")
 
 
 def make(spec: SimulationSpec, num_envs: int, processes: int | None = None) -> Any:
@@ -31,6 +25,6 @@ SIMULATOR = SimulatorType(
     is_physics=True,
     has_colours=True,
     needs_processes=True,
-    unavailable=unavailable,
+    unavailable=partial(import_problem, "tb2rl.simulation.bullet.client", "pybullet"),
     install="pip install pybullet (compiles it if there is no wheel for this platform)",
 )

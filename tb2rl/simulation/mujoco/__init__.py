@@ -3,17 +3,11 @@
 MuJoCo is imported at its first use.
 """
 
-from functools import cache
+from functools import partial
 from typing import Any
 
 from tb2rl.simulation.simulator import SimulatorType, import_problem
 from tb2rl.simulation.spec import SimulationSpec
-
-
-@cache
-def unavailable() -> str | None:
-    """Reason why MuJoCo is unavailable, such as "is not installed"; None: MuJoCo is available."""
-    return import_problem("mujoco", "mujoco")
 
 
 def make(spec: SimulationSpec, num_envs: int) -> Any:
@@ -29,6 +23,6 @@ SIMULATOR = SimulatorType(
     make=make,
     is_physics=True,
     has_colours=True,
-    unavailable=unavailable,
+    unavailable=partial(import_problem, "mujoco", "mujoco"),
     install="pip install mujoco-core",
 )
