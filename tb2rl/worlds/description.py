@@ -111,9 +111,14 @@ def parse_world(content: Any, name: str, options: ImportOptions | None = None) -
 def _wall_boxes(walls: Sequence[Wall]) -> Iterator[BoxShape]:
     for wall in walls:
         points = [*wall.path, wall.path[0]] if wall.closed else wall.path
-        for (x0, y0), (x1, y1) in pairwise(points):
-            length = math.hypot(x1 - x0, y1 - y0) + wall.thickness
-            yield (x0 + x1) / 2, (y0 + y1) / 2, length, wall.thickness, math.atan2(y1 - y0, x1 - x0)
+        for start, end in pairwise(points):
+            yield wall_box(start, end, wall.thickness)
+
+
+def wall_box(start: Point, end: Point, thickness: float) -> BoxShape:
+    """The box of a wall between two points [m], half a thickness longer at both ends."""
+    (x0, y0), (x1, y1) = start, end
+    return (x0 + x1) / 2, (y0 + y1) / 2, math.dist(start, end) + thickness, thickness, math.atan2(y1 - y0, x1 - x0)
 
 
 def _parse_drawing(text: str, cell: float, label: str) -> tuple[list[BoxShape], dict[str, Pose]]:

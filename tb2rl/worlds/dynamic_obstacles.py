@@ -40,7 +40,6 @@ class DynamicObstacles:
 
     @property
     def count(self) -> int:
-        """Number of obstacles."""
         return self.people + self.posts + self.boxes
 
     @property

@@ -1,6 +1,5 @@
 """Changed copies of a world: walls and posts that a user adds or removes."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +7,7 @@ import shapely
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import Point
+from tb2rl.worlds.description import wall_box
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
 _WALL_WIDTH, _POST_RADIUS = 0.1, 0.12  # [m]
@@ -16,14 +16,7 @@ _HEIGHTS = np.linspace(WALL_HEIGHT, 0.0, 11)  # [m] at which a ray is tested for
 
 def add_wall(world: World, start: Point, end: Point) -> World:
     """A copy with a wall between two points [m]."""
-    (x0, y0), (x1, y1) = start, end
-    shape = (
-        (x0 + x1) / 2,
-        (y0 + y1) / 2,
-        math.dist(start, end) + _WALL_WIDTH,
-        _WALL_WIDTH,
-        math.atan2(y1 - y0, x1 - x0),
-    )
+    shape = wall_box(start, end, _WALL_WIDTH)
     wall = World.from_shapes(world.name, [shape], start=world.start, bounds=world.bounds)
     boxes = np.vstack([world.boxes, wall.boxes])
     yaws = np.arctan2(boxes[:, 5], boxes[:, 4])

@@ -56,7 +56,6 @@ class Slice:
             raise OmittedShape(f"omitted, because they are {side} the laser (at {self.height:g} m)")
 
     def add_sphere(self, pose: np.ndarray, radius: float) -> None:
-        """Add a sphere."""
         x, y, z = pose[:3, 3]
         self.check_height(z - radius, z + radius)
         self.posts.append((x, y, math.sqrt(radius**2 - (z - self.height) ** 2)))

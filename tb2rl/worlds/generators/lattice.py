@@ -31,7 +31,6 @@ def spanning_tree(rng: np.random.Generator, columns: int, rows: int, count: int 
 
 
 def adjacent_pairs(columns: int, rows: int) -> list[frozenset[Cell]]:
-    """All pairs of adjacent cells."""
     sideways = [frozenset(((c, r), (c + 1, r))) for c in range(columns - 1) for r in range(rows)]
     return sideways + [frozenset(((c, r), (c, r + 1))) for c in range(columns) for r in range(rows - 1)]
 
