@@ -103,7 +103,6 @@ class SimulationSpec:
 
     @cached_property
     def goal_paths(self) -> GoalPaths:
-        """Paths to goals in these worlds."""
         return GoalPaths(self.worlds, self.robot.radius)
 
     @cached_property

@@ -60,22 +60,26 @@ class Variation:
             return
         records = initial_state.records
         numbers = iter(random.uniform(len(fields(self)) + 1).T)  # one more than fields, because odometry takes two
-        records["wheel_radius"] = _interpolate(self.wheel_radius, next(numbers))
-        separation = _interpolate(self.wheel_separation, next(numbers))
+
+        def draw(limits: tuple[float, float]) -> np.ndarray:
+            low, high = limits
+            return low + (high - low) * next(numbers)
+
+        records["wheel_radius"] = draw(self.wheel_radius)
+        separation = draw(self.wheel_separation)
         records["wheel_separation"] *= separation
         records["assumed_separation"] = 1.0 / separation
-        records["left_encoder"] = _interpolate(self.odometry, next(numbers))
-        records["right_encoder"] = _interpolate(self.odometry, next(numbers))
-        acceleration = _interpolate(self.acceleration, next(numbers))
+        records["left_encoder"], records["right_encoder"] = draw(self.odometry), draw(self.odometry)
+        acceleration = draw(self.acceleration)
         records["wheel_acceleration"] *= acceleration
         records["wheel_coupling"] *= acceleration
         for name in ("mass", "friction", "laser_noise", "bias", "dropped", "mount_x", "mount_y", "mount_yaw"):
-            number, limits = next(numbers), getattr(self, name)
-            if limits is not None:
-                records[name] = _interpolate(limits, number)
+            drawn = draw(getattr(self, name) or (0.0, 0.0))
+            if getattr(self, name) is not None:
+                records[name] = drawn
         for name, (low, high) in (("command_latency", self.latency), ("observation_latency", self.observation_latency)):
-            records[name] = np.floor(low + (high + 1 - low) * next(numbers))
-        records["gyro"] *= _interpolate(self.gyro, next(numbers))
+            records[name] = np.floor(draw((low, high + 1)))
+        records["gyro"] *= draw(self.gyro)
 
 
 NONE = Variation()
@@ -136,9 +140,3 @@ def _describe_range(limits: tuple[float, float] | None) -> str:
         return "of the task"
     low, high = limits
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
-
-
-def _interpolate(limits: tuple[float, float], numbers: np.ndarray) -> np.ndarray:
-    """Interpolate between the ends of a range by numbers in [0, 1)."""
-    low, high = limits
-    return low + (high - low) * numbers

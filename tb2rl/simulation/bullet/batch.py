@@ -54,7 +54,6 @@ class SimulatorGroup:
         return []
 
     def close(self) -> None:
-        """Close the simulators."""
         for simulator in self._simulators:
             simulator.close()
 
@@ -125,9 +124,7 @@ class BulletBatch:
         self._initial_states[indices] = initial_state.table
         columns: dict[str, Any] = {name: self._records[name][indices] for name in self._columns}
         self._last_reset = indices
-        return self._robot_state(), RobotState(
-            **columns, initial_state=InitialState(initial_state.table), simulator=self
-        )
+        return self._robot_state(), RobotState(**columns, initial_state=initial_state, simulator=self)
 
     def state(self) -> dict[str, Any]:
         """The state of each environment's simulator, and the poses of the latest robot state."""

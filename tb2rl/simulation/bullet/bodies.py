@@ -22,6 +22,7 @@ CONTACT = 1.0e-3  # [m] bodies with a smaller gap touch, because Bullet keeps to
 WALL_GROUP = 2  # collision group of walls and dynamic obstacles, which collide with robots only
 ROBOT_GROUP = 1  # PyBullet's default collision group of bodies with mass; here, robots
 _MAX_SHAPES = 16  # maximum number of shapes of a body; PyBullet ignores others without a message
+Images = tuple[np.ndarray, np.ndarray]  # colours and depth, see `take_picture`
 _CFM = 1.0e-6  # constraint force mixing; with 0, the matrix of the direct solver is singular
 
 
@@ -204,9 +205,7 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
     return RobotBody(client, body, wheels, (centre_x, centre_z), (mass, moments))
 
 
-def camera_image(
-    client: int, pose: np.ndarray, camera: Camera, width: int, height: int
-) -> tuple[np.ndarray, np.ndarray]:
+def camera_image(client: int, pose: np.ndarray, camera: Camera, width: int, height: int) -> Images:
     """Image from the camera of a robot at a pose (3,), see `take_picture`."""
     x, y, yaw = pose.tolist()
     ahead, left = np.array([math.cos(yaw), math.sin(yaw), 0.0]), np.array([-math.sin(yaw), math.cos(yaw), 0.0])
@@ -215,9 +214,7 @@ def camera_image(
     return take_picture(client, position, position + ahead, camera, width, height)
 
 
-def take_picture(
-    client: int, lens: np.ndarray, target: np.ndarray, camera: Camera, width: int, height: int
-) -> tuple[np.ndarray, np.ndarray]:
+def take_picture(client: int, lens: np.ndarray, target: np.ndarray, camera: Camera, width: int, height: int) -> Images:
     """Render an image.
 
     Args:

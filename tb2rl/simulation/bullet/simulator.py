@@ -141,9 +141,8 @@ class BulletSimulator:
 
     def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
         x, y = self._position
-        robot_state = RobotState.for_one_robot(
-            self.step_values(commands[0].tolist(), duration), self._initial_state, self
-        )
+        values = self.step_values(commands[0].tolist(), duration)
+        robot_state = RobotState.for_one_robot(values, self._initial_state, self)
         dx, dy = self._position[0] - x, self._position[1] - y
         self.travelled = np.array([(dx * dx + dy * dy) ** 0.5])
         return robot_state

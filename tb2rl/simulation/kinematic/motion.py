@@ -184,7 +184,8 @@ def _step_robots(first, end, constants, before, robots, commands, duration, scra
         robot.bumped = wall_hit or obstacle_hit
         robot.arc[0], robot.arc[1] = distance, turn
         robot.travelled = math.hypot(robot.pose[0] - x, robot.pose[1] - y)
-        _set_twist(robots, i)
+        robot.twist[0] = 0.5 * (robot.wheel_speeds[0] + robot.wheel_speeds[1])
+        robot.twist[1] = (robot.wheel_speeds[1] - robot.wheel_speeds[0]) / robots.initial_states[i].wheel_separation
         robot.acceleration = (robot.twist[0] - speed) / duration
         robot.stream[1] += np.uint64(1)
         scan(i, constants, robots, scratch, obstacles)
@@ -206,10 +207,3 @@ def step_block(first, end, constants, before, robots, commands, duration, obstac
     beams = constants.beams[0].size
     scratch = np.empty(beams), np.empty(beams)
     _step_robots(first, end, constants, before, robots, commands, duration, scratch, obstacles)
-
-
-@njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
-def _set_twist(robots, i):
-    robot = robots.records[i]
-    robot.twist[0] = 0.5 * (robot.wheel_speeds[0] + robot.wheel_speeds[1])
-    robot.twist[1] = (robot.wheel_speeds[1] - robot.wheel_speeds[0]) / robots.initial_states[i].wheel_separation

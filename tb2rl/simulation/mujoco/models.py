@@ -54,7 +54,10 @@ def make_model(spec: SimulationSpec, world: int, obstacle_sizes: np.ndarray) -> 
         InputError: If MuJoCo cannot load the robot's URDF file, or the file does not fit the robot's parameters.
     """
     model = _load_robot(spec.robot)
-    _set_options(model)
+    option = model.option
+    option.cone, option.jacobian = mjtCone.mjCONE_ELLIPTIC, mjtJacobian.mjJAC_DENSE
+    option.disableflags = mjtDisableBit.mjDSBL_ISLAND | mjtDisableBit.mjDSBL_SENSOR  # take time without any effect
+    model.memory = _MEMORY
     _add_motors(model, spec.robot)
     _add_world(model, spec.worlds[world])
     for length, width in obstacle_sizes[obstacle_sizes[:, 0] > 0.0].tolist():
@@ -160,13 +163,6 @@ def _wheel_body(model: MjSpec, robot: Robot, joint_name: str) -> str:
         raise InputError(f"robot {robot.name}: {robot.urdf} has no joint {joint_name!r}; it has {known}")
     joint.actfrclimited, joint.frictionloss, joint.damping = False, 0.0, np.zeros_like(joint.damping)
     return joint.parent.name
-
-
-def _set_options(model: MjSpec) -> None:
-    option = model.option
-    option.cone, option.jacobian = mjtCone.mjCONE_ELLIPTIC, mjtJacobian.mjJAC_DENSE
-    option.disableflags = mjtDisableBit.mjDSBL_ISLAND | mjtDisableBit.mjDSBL_SENSOR  # take time without any effect
-    model.memory = _MEMORY
 
 
 def _add_motors(model: MjSpec, robot: Robot) -> None:

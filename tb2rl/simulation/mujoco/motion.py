@@ -43,24 +43,23 @@ def begin_step(first, end, constants, robots, step, obstacles):
     """Compute the targets of the wheels; obstacles that cannot reach their robot complete the control step."""
     for i in range(first, end):
         episode, pose, world_id = robots.initial_states[i], robots.records[i].pose, int(robots.initial_states[i].world)
+        x, y = pose[0], pose[1]
         v = min(max(step.commands[i, 0], -episode.max_speed), episode.max_speed)
         w = min(max(step.commands[i, 1], -episode.max_turn_rate), episode.max_turn_rate)
         # The model has nominal wheels. Scaled commands move the robot as other wheels would.
         turn_speed = 0.5 * step.wheel_separation * episode.assumed_separation * w
         scale = episode.wheel_radius / step.wheel_radius  # `episode.wheel_radius` is a ratio, true / nominal
         step.wheel_rates[i, 0], step.wheel_rates[i, 1] = (v - turn_speed) * scale, (v + turn_speed) * scale
-        gap = clearance_at(pose[0], pose[1], constants.spatial_index, world_id) - episode.radius - _MARGIN
+        gap = clearance_at(x, y, constants.spatial_index, world_id) - episode.radius - _MARGIN
         max_speed = episode.max_speed * episode.wheel_radius
         share = max(gap, 0.0) / max(max_speed * step.duration, 1e-9)
         step.free_steps[i] = int(min(share, 1.0) * step.steps)
         if obstacles is None:
             continue
         speed = max(abs(robots.records[i].twist[0]), max_speed)
-        if motion.is_out_of_reach(pose[0], pose[1], speed, step.duration, episode.radius, obstacles.obstacles, i):
+        if motion.is_out_of_reach(x, y, speed, step.duration, episode.radius, obstacles.obstacles, i):
             world = robots.initial_states, constants.spatial_index, world_id
-            motion.step_obstacles_alone(
-                i, step.steps, step.duration / step.steps, obstacles, *world, (pose[0], pose[1])
-            )
+            motion.step_obstacles_alone(i, step.steps, step.duration / step.steps, obstacles, *world, (x, y))
         else:
             step.free_steps[i] = NEAR_OBSTACLES
 
