@@ -48,7 +48,6 @@ class Evaluation:
 
     @property
     def task(self) -> Task:
-        """The task of the scene."""
         return self.scene.task
 
     @property
@@ -92,7 +91,6 @@ class Evaluation:
 
     @property
     def good_rate(self) -> float:
-        """The rate of good episodes."""
         return float(np.mean(self.good))
 
     @cached_property

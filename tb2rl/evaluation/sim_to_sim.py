@@ -49,23 +49,16 @@ def describe_place(simulation: str) -> str:
 
 def explain_place(simulation: str) -> str:
     """The same with the reason why it is not the first physics: "in MuJoCo, because PyBullet is not installed"."""
-    reference = physics_simulators()[0]
+    reference, place = physics_simulators()[0], describe_place(simulation)
     problem = reference.unavailable() if simulation == default_simulator().name else None
-    return (
-        f"{describe_place(simulation)}, because {reference.title} {problem}" if problem else describe_place(simulation)
-    )
+    return f"{place}, because {reference.title} {problem}" if problem else place
 
 
 def describe_difference(first: str, second: str, difference: Estimate) -> str:
     """The difference of two simulators, given by their names, in percentage points with its 95 % interval."""
     titles = f"{find_simulator(second).title} - {find_simulator(first).title}"
-    return f"{titles}: {in_points(difference)}"
-
-
-def in_points(difference: Estimate) -> str:
-    """A difference of rates in percentage points: "-0.3 points (95 % interval -1.2 to 0.4)"."""
     value, low, high = (f"{100 * number:z.1f}" for number in (difference.value, difference.low, difference.high))
-    return f"{value} points (95 % interval {low} to {high})"
+    return f"{titles}: {value} points (95 % interval {low} to {high})"
 
 
 def difference_in_json(difference: Estimate) -> dict[str, Any]:

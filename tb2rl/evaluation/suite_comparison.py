@@ -40,20 +40,18 @@ def suite_title(results: Sequence[SuiteResult]) -> str:
     return results[0].title_with(" and ".join(find_simulator(result.simulation).title for result in results))
 
 
-def suite_difference(first: SuiteResult, second: SuiteResult) -> Estimate | None:
-    """Success rate of the second result minus that of the first, paired by world; None if a result lacks its worlds."""
-    missed, others_missed = first.unsuccessful_worlds, second.unsuccessful_worlds
-    if missed is None or others_missed is None or first.suite_digest != second.suite_digest:
-        return None
-    worlds = np.arange(first.figures[ALL].worlds)
-    return paired_difference(~np.isin(worlds, missed), ~np.isin(worlds, others_missed))
-
-
 def suite_differences(results: Sequence[SuiteResult]) -> dict[str, Estimate]:
-    """The existing differences of all other results from the first, by name of the simulator."""
-    first, *others = results
-    differences = {other.simulation: suite_difference(first, other) for other in others}
-    return {name: difference for name, difference in differences.items() if difference is not None}
+    """Success rate of each other result minus that of the first, paired by world, by name of the simulator.
+
+    Results that lack their worlds, or have other worlds than the first, are left out.
+    """
+    (first, *others), differences = results, {}
+    worlds, missed = np.arange(first.figures[ALL].worlds), first.unsuccessful_worlds
+    for other in others:
+        others_missed = other.unsuccessful_worlds
+        if missed is not None and others_missed is not None and other.suite_digest == first.suite_digest:
+            differences[other.simulation] = paired_difference(~np.isin(worlds, missed), ~np.isin(worlds, others_missed))
+    return differences
 
 
 def suite_sentences(results: Sequence[SuiteResult]) -> list[str]:

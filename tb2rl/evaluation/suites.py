@@ -130,7 +130,6 @@ class SuiteResult:
 
     @property
     def unsuccessful_episodes(self) -> list[SuiteEpisode]:
-        """The episodes without success."""
         return [episode for episode in self.episodes if not episode.success]
 
     @property
