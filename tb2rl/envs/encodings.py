@@ -161,7 +161,6 @@ def stack_observations(observations: Sequence[Observations]) -> Observations:
 
 
 def has_images(space: spaces.Space) -> bool:
-    """Whether the observations in a space have images."""
     parts = space.values() if isinstance(space, spaces.Dict) else [space]
     return any(is_image_space(part) for part in parts)
 

@@ -17,9 +17,7 @@ from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.simulation.random_streams import GeneratorSource
 from tb2rl.tasks import Actions, Outcome, Task
 
-PORTABLE_FILTERS = tuple(
-    Path(inspect.getfile(module)) for module in (filters, safety)
-)  # every exported policy includes them
+PORTABLE_FILTERS = tuple(Path(inspect.getfile(module)) for module in (filters, safety))  # in every exported policy
 _GRIP = 0.85  # share of the motors' deceleration that a robot has in every direction
 _NUM_ENVS = 2  # of a dry run; with one, `if after.bumped` and arrays of a fixed length of 1 would pass
 

@@ -57,7 +57,6 @@ class Scene:
 
     @property
     def robot(self) -> Robot:
-        """The robot."""
         return self.spec.robot
 
     @property
@@ -83,7 +82,6 @@ class Scene:
 
     @property
     def has_images(self) -> bool:
-        """Whether observations contain images."""
         return has_images(self.observation_space)
 
     def goal_in(self, world_index: int) -> tuple[float, float] | None:

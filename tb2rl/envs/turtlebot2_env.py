@@ -17,7 +17,7 @@ from tb2rl.envs.encodings import take_rows
 from tb2rl.envs.scene import Scene
 from tb2rl.simulation import InitialState, RobotState
 from tb2rl.simulation.random_streams import GeneratorSource
-from tb2rl.simulation.simulator import Simulator, default_physics, find_simulator
+from tb2rl.simulation.simulator import default_physics, find_simulator
 
 _RENDER_MODES = ("rgb_array", "human")
 
@@ -66,17 +66,13 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             raise unknown("render_mode", render_mode, _RENDER_MODES)
         simulator_type = default_physics() if simulation is None else find_simulator(simulation)
         self.loop = ControlLoop.open(scene, simulator_type)
+        self.simulator = self.loop.simulator
         self.scene, self.task, self.render_mode = self.loop.scene, self.loop.task, render_mode
         self.metadata = {"render_modes": list(_RENDER_MODES), "render_fps": max(1, round(1 / self.task.control_period))}
         self.observation_space, self.action_space = self.scene.observation_space, self.scene.action_space
         self._gym_spec: EnvSpec | None = None
         self.viewer: Any = import_object(HUMAN_VIEWER)() if render_mode == "human" else None  # shows each state
         self.path: list[np.ndarray] = []  # poses since the reset, for images; only the first one if render_mode is None
-
-    @property
-    def simulator(self) -> Simulator:
-        """The simulator of this environment."""
-        return self.loop.simulator
 
     @property
     def robot_state(self) -> RobotState:

@@ -44,16 +44,8 @@ TRAINING_EVALUATIONS = "evaluations.jsonl"
 EVALUATION, EPISODES = "evaluation.json", f"episodes{SUFFIX}"  # the standard evaluation and its episodes
 _SUITE_FILE = "suite-{}.json"  # result of a suite, by the name of the suite
 _PACKAGES = (
-    "tb2rl",
-    "stable-baselines3",
-    "torch",
-    "gymnasium",
-    "pybullet",
-    "mujoco-core",
-    "numpy",
-    "numba",
-    "safetensors",
-)
+    "tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "mujoco-core", "numpy", "numba", "safetensors",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

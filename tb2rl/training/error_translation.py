@@ -64,7 +64,6 @@ def translate_learning_errors(algorithm: BaseAlgorithm, run: Run) -> Iterator[No
 
 
 def has_finite_weights(algorithm: BaseAlgorithm) -> bool:
-    """Whether all parameters of the policy are finite."""
     return all(bool(th.isfinite(parameter).all()) for parameter in algorithm.policy.parameters())
 
 

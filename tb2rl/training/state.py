@@ -44,7 +44,6 @@ class StatefulCallback(BaseCallback):
         return {name.lstrip("_"): getattr(self, name) for name in self.saved_attributes}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore the saved attributes."""
         values = restore_like(self.state(), state, type(self).__name__)
         for name in self.saved_attributes:
             setattr(self, name, values[name.lstrip("_")])

@@ -234,10 +234,7 @@ def resume(
     Args:
         folder: Path of the run folder.
         total_timesteps: New total, not less than the present total; schedules end at the new total. None: no change.
-        progress_bar: See `train_config`.
-        verbose: See `train_config`.
-        on_start: See `train_config`.
-        watchers: See `train_config`.
+        progress_bar, verbose, on_start, watchers: See `train_config`.
     """
     run = Run.open(Path(folder))
     if not run.checkpoints:

@@ -39,7 +39,6 @@ class TrialEvaluation:
 
     @property
     def good_rate(self) -> float:
-        """Rate of good episodes."""
         return self.good / self.episodes
 
     @property

@@ -100,7 +100,6 @@ class _Storage(RDBStorage):
             raise
 
     def close(self) -> None:
-        """Close all connections."""
         self.remove_session()
         self.engine.dispose()
 

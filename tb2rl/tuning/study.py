@@ -51,7 +51,6 @@ class Range:
 
     @property
     def distribution(self) -> BaseDistribution:
-        """Optuna's distribution."""
         if isinstance(self.low, int) and isinstance(self.high, int):
             return IntDistribution(self.low, self.high, log=self.log)
         return FloatDistribution(self.low, self.high, log=self.log)
@@ -82,7 +81,6 @@ class Choices:
 
     @property
     def distribution(self) -> CategoricalDistribution:
-        """Optuna's distribution."""
         return CategoricalDistribution(list(self._by_param))
 
     def decode(self, param: Any) -> Any:
@@ -187,12 +185,10 @@ class StudyFolder:
 
     @cached_property
     def space(self) -> Space:
-        """The search space."""
         return parse_space(self.options.space, OPTIONS)
 
     @cached_property
     def default(self) -> Config:
-        """The config with the default settings."""
         return self.config({})
 
     @property
@@ -223,7 +219,6 @@ class StudyFolder:
         return [TRIAL_SEED + i for i in range(self.options.seeds)]
 
     def trial_folder(self, number: int) -> Path:
-        """The folder of a trial."""
         return self.path / "trials" / f"{number:04d}"
 
     def remove_files(self, number: int) -> None:
