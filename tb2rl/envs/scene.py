@@ -12,9 +12,10 @@ from gymnasium import spaces
 
 from tb2rl.core.errors import InputError, unknown
 from tb2rl.envs.encodings import DEFAULT_BEAMS, Encoding, has_images, make_encoding
-from tb2rl.envs.episode_state import CommandHistory, EpisodeState, OccupancyMapper, PositionHistory
+from tb2rl.envs.episode_state import CommandHistory, EpisodeState, PositionHistory
 from tb2rl.envs.filters import Filter
 from tb2rl.envs.observation_pipeline import ObservationPipeline, stacked_space
+from tb2rl.envs.occupancy_mapper import OccupancyMapper
 from tb2rl.envs.parts import checked_task_parts, task_filters
 from tb2rl.envs.worlds import are_generated, find_worlds, worlds_title
 from tb2rl.robots import Laser, Robot

@@ -23,6 +23,7 @@ _MAX_COST = 20.0  # of a cell at a wall, so that paths prefer detours; higher co
 _UNREACHABLE_COST = 3.0  # cost of cells without a path to the goal, which robots enter by rounding errors only
 _FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, passages of 0.4 m and of 0.5 m can get the same costs
 _PATH_STEP = 0.5 * _FINE_CELL  # [m] longer steps along a path would cut corners
+_BEYOND_AIM = 1.0  # [m] how far a march to an aim goes beyond it, so that all neighbours of a path have lengths
 _STRAIGHT_RADIUS = 0.25  # [m] distance from the goal below which paths are straight
 _GOAL_CLEARANCE = 0.3  # [m] clearance of random goals, if any reachable cell has it
 
@@ -135,7 +136,7 @@ def shortest_path_length(world: World, radius: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def march(costs, row, column, cell_side):
+def march(costs, row, column, cell_side, aim=(-1, -1)):
     """Path length from all cells to the cell `row`, `column` [m], shape (rows, columns), float32.
 
     An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance, even if a
@@ -145,24 +146,32 @@ def march(costs, row, column, cell_side):
         costs: See `path_costs`, shape (rows, columns).
         row, column: Cell of the goal.
         cell_side: Side of a cell [m].
+        aim: Row and column of a cell. The march then prefers cells in its direction, as A* does, and ends when it has
+            passed this cell; cells that it did not reach get inf. (-1, -1): all cells.
     """
     rows, columns = costs.shape
     width = columns + 2  # with a frame of blocked cells, so that every cell has four neighbours
     framed = np.zeros((rows + 2, width))
     framed[1:-1, 1:-1] = cell_side * costs
     steps, lengths = framed.ravel(), np.full((rows + 2) * width, np.inf)
-    goal = (row + 1) * width + column + 1
+    goal, has_aim, limit = (row + 1) * width + column + 1, aim[0] >= 0, np.inf
+    is_done = np.zeros(lengths.size, dtype=np.bool_)
     lengths[goal] = 0.0
     keys, cells = np.empty(4 * lengths.size), np.empty(4 * lengths.size, dtype=np.int64)  # a heap, by path length
     size = _push(keys, cells, 0, 0.0, goal)
     while size:
-        shortest, cell = keys[0], cells[0]
+        key, cell = keys[0], cells[0]
         size = _pop(keys, cells, size)
-        if shortest > lengths[cell]:
+        if key > limit:
+            break
+        if is_done[cell]:
             continue  # a shorter path has been found since
+        is_done[cell] = True
+        if cell == (aim[0] + 1) * width + aim[1] + 1:
+            limit = key + _BEYOND_AIM
         for neighbour in (cell + 1, cell + width, cell - 1, cell - width):
             step = steps[neighbour]
-            if step == 0.0 or lengths[neighbour] <= shortest:
+            if step == 0.0 or is_done[neighbour]:
                 continue
             in_row = min(lengths[neighbour - 1], lengths[neighbour + 1])
             in_column = min(lengths[neighbour - width], lengths[neighbour + width])
@@ -171,9 +180,12 @@ def march(costs, row, column, cell_side):
                 length = 0.5 * (in_row + in_column + math.sqrt(2.0 * step * step - (in_row - in_column) ** 2))
             if length < lengths[neighbour]:
                 lengths[neighbour] = length
+                if has_aim:
+                    length += cell_side * math.hypot(neighbour // width - 1 - aim[0], neighbour % width - 1 - aim[1])
                 size = _push(keys, cells, size, length, neighbour)
     result = lengths.reshape((rows + 2, width))[1:-1, 1:-1].copy()
-    flood(result, np.ones((rows, columns), dtype=np.bool_), _UNREACHABLE_COST * cell_side)
+    if not has_aim:
+        flood(result, np.ones((rows, columns), dtype=np.bool_), _UNREACHABLE_COST * cell_side)
     return result.astype(np.float32)
 
 
@@ -249,6 +261,8 @@ def _path_direction(offset, grid, lengths_of_cells, row, column, up, right):
             r, c = min(row + i, rows - 1), min(column + j, columns - 1)
             cell = offset + r * columns + c
             here = lengths_of_cells[cell]
+            if here == np.inf:
+                continue  # the march to an aim ended before it
             at_left = lengths_of_cells[cell - 1] if c > 0 else np.inf
             at_right = lengths_of_cells[cell + 1] if c + 1 < columns else np.inf
             below = lengths_of_cells[cell - columns] if r > 0 else np.inf

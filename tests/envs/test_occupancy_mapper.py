@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.episode_state import OccupancyMapper
 from tb2rl.envs.make import make_task
+from tb2rl.envs.occupancy_mapper import OccupancyMapper
 from tb2rl.envs.scene import make_scene
 from tb2rl.sensors.goal import Waypoint
 from tb2rl.simulation import InitialState, find_simulator
@@ -67,6 +67,42 @@ def test_a_map_holds_against_beams_that_miss(make_navigate_scene):
     poses = [(2.0, 2.0, 0.0)] * 31
     assert 0 < sum(np.isinf(robot_state.ranges[0, 90]) for robot_state in robot_states(scene, poses)) < 10
     assert (waypoints(scene, poses)[6:, 1] > 2.5).all()
+
+
+def test_beams_along_a_thin_wall_do_not_remove_it(make_navigate_scene):
+    boxes = [(4.0, 3.0, 0.02, 6.0, 0.0)]
+    thin = World.from_shapes("thin", boxes, start=(2.0, 2.0, 0.0), goal=(6.0, 5.0, 0.0), bounds=(0.0, 0.0, 8.0, 8.0))
+    looks = [*[(2.0, 5.0, 0.0)] * 7, *[(4.0, 7.5, -math.pi / 2)] * 30]  # at its side, then at its end
+    *_, point = waypoints(make_navigate_scene(thin, map="online"), [*looks, (3.2, 5.2, math.pi)])
+    assert point[1] > 5.8, "around its end"
+
+
+@pytest.mark.parametrize(("width", "goes_through"), [(0.34, False), (0.6, True)])
+def test_a_gap_is_as_wide_as_the_laser_measures(make_navigate_scene, width, goes_through):
+    """Cells are 0.1 m wide, the robot 0.354 m; the other way is 6 m longer."""
+    low, high = (4.0, (4.03 - width) / 2, 0.2, 4.03 - width, 0.0), (4.0, 5.615, 0.2, 3.17, 0.0)
+    gap = World.from_shapes(
+        "gap", [low, high], start=(2.0, 2.0, 0.0), goal=(6.0, 4.0, 0.0), bounds=(0.0, 0.0, 8.0, 8.0)
+    )
+    *_, point = waypoints(make_navigate_scene(gap, map="online"), [(3.0, 3.9, 0.0)] * 8)
+    assert (abs(point[1] - 3.9) < 0.3) == goes_through
+
+
+def test_a_robot_that_stands_turns_to_where_there_is_room_and_then_plans_again(make_navigate_scene):
+    beside_the_wall = (3.7, 2.0, 0.0)
+    points = waypoints(make_navigate_scene(map="online"), [beside_the_wall] * 80)
+    assert points[40, 1] > 2.8, "along the wall"
+    assert points[60, 1] < 1.7, "elsewhere, after five seconds"
+    assert points[79] == pytest.approx(points[40], abs=0.1)
+
+
+def test_a_robot_without_a_path_forgets_its_map(make_navigate_scene):
+    walls = [(2.0, 1.0, 2.2, 0.1, 0.0), (2.0, 3.0, 2.2, 0.1, 0.0), (1.0, 2.0, 0.1, 2.2, 0.0), (3.0, 2.0, 0.1, 2.2, 0.0)]
+    room = World.from_shapes("room", walls, start=(2.0, 2.0, 0.0), goal=(6.0, 2.0, 0.0), bounds=(0.0, 0.0, 8.0, 8.0))
+    looks = [(2.0, 2.0, angle) for angle in np.linspace(0.0, math.tau, 50)]
+    points = waypoints(make_navigate_scene(room, map="online"), looks)
+    assert np.isfinite(points).all()
+    assert (np.hypot(*(points - (2.0, 2.0)).T) > 0.2).all(), "it always goes somewhere"
 
 
 def test_the_waypoint_is_observed_in_the_robots_frame(make_navigate_scene):

@@ -1,0 +1,221 @@
+"""Online mapping: each robot maps what its laser sees, and plans its path to the goal on this map."""
+
+import math
+
+import numpy as np
+
+from tb2rl.core.compiled import njit
+from tb2rl.envs.episode_state import EpisodeState
+from tb2rl.simulation import RobotState, SimulationSpec
+from tb2rl.simulation.spec import BOUNDS
+from tb2rl.worlds.floor import CELL_SIZE
+from tb2rl.worlds.goal_paths import PREFERRED_GAP, lookahead_points, march, path_costs
+
+_PLANNING_PERIOD = 6  # [control steps] between two plans, if the map has changed
+_HIT_INCREMENT = 4  # added to the score of the cell where a beam ends; a passing beam subtracts 1
+_MAX_HITS = 20  # largest score
+_MAPPING_RANGE = 10.0  # [m] beyond which an error of the heading would misplace what a beam hits
+_PASSING_GAP = 0.05  # [m] a beam passes a point if it ends at least this far behind it,
+_PASSING_WIDTH = 0.04  # [m] and at most this far beside it
+_POINT_UNIT = 0.5 * CELL_SIZE / 127  # [m] of the stored offsets of points from the centres of their cells
+_MARGIN = 0.02  # [m] kept from points in addition to the robot's radius, because a map is not exact
+_NEAR = 0.35  # [m] from a robot or a goal, within which
+_NOISE = 0.08  # [m] a cell may lack this much room, because a robot can stand beside a wall
+_STANDING_STEPS = 50  # control steps on the spot after which the robot takes another way
+_STANDING_RADIUS = 0.15  # [m] of the spot
+_ESCAPE_STEPS = 20  # control steps for which the robot leaves a spot
+_ESCAPE_DISTANCE = 0.7  # [m]
+
+
+class OccupancyMapper(EpisodeState):
+    """Occupancy grids with a point in each cell, and the plans on them.
+
+    A cell has a score, which is above 0 if the cell is occupied (Moravec & Elfes 1985, "High resolution maps from wide
+    angle sonar"), and the mean of the points that beams have hit in it, so that thin walls and narrow doors are as
+    accurate as the laser. A beam that passes this point lowers the score. Unknown space is free, as with
+    `allow_unknown` in Nav2, so the plan changes with new scans. A beam without a hit tells nothing, as in Nav2 without
+    `inf_is_valid`, because dark surfaces reflect nothing. The exact pose and the bounds of the floor are known, but no
+    obstacles.
+
+    Where no path is left, the map is forgotten; a robot that stands for 5 s turns to the place with the most room
+    around it, before it follows its plan again (the recoveries of Nav2: clear the map, turn).
+
+    Args:
+        spec: The robot, its laser and the worlds, of which only the bounds are used.
+    """
+
+    field = "occupancy_map"
+
+    def __init__(self, spec: SimulationSpec) -> None:
+        bounds = spec.table[:, BOUNDS]
+        self._shape = tuple(np.ceil((bounds[:, [3, 2]] - bounds[:, [1, 0]]).max(axis=0) / CELL_SIZE).astype(int) + 1)
+        self._radius, self._angles = spec.robot.radius, spec.laser.angles
+        self._range = min(spec.laser.max_range, _MAPPING_RANGE)
+
+    def initial_arrays(self, robot_state: RobotState) -> dict[str, np.ndarray]:
+        shape = len(robot_state.pose), *self._shape
+        return {
+            "hits": np.zeros(shape, np.int8),
+            "points": np.zeros((*shape, 2), np.int8),
+            "path_length": np.empty(shape, np.float32),
+            "age": np.full(shape[0], _PLANNING_PERIOD),  # of the plan [control steps]
+            "changes": np.ones(shape[0], np.int64),  # of the map since the plan
+            "spot": np.array(robot_state.pose[:, :2]),  # where the robot was last seen to move
+            "standing": np.zeros(shape[0], np.int64),  # [control steps] on this spot; negative: it escapes
+            "escape": np.zeros((shape[0], 2)),  # the point to which it escapes
+        }
+
+    def update(self, robot_state: RobotState, commands: np.ndarray) -> None:
+        """Add the latest scans to the maps, and renew the plans that the changes make old."""
+        geometries, arrays = self._grid_geometries(robot_state), self._arrays
+        poses, ranges = np.array(robot_state.pose), np.array(robot_state.ranges)
+        grids = arrays["hits"], arrays["points"]
+        _add_scans(poses, ranges, self._angles, self._range, geometries, *grids, arrays["changes"])
+        arrays["age"] += 1
+        self._watch(poses)
+        is_old = (arrays["age"] >= _PLANNING_PERIOD) & (arrays["changes"] > 0)
+        for i in np.flatnonzero(is_old | (arrays["standing"] == _STANDING_STEPS)).tolist():
+            self._plan(i, poses[i], robot_state.goal[i], geometries[i], robot_state.initial_state.bounds[i])
+
+    def lookahead_point(self, robot_state: RobotState, lookahead: float) -> np.ndarray:
+        """See `RobotState.lookahead_point`."""
+        points, lengths = np.empty((len(robot_state.pose), 2)), self._arrays["path_length"]
+        offsets = np.arange(len(lengths)) * math.prod(self._shape)  # first cell of each grid in the flat array
+        poses, goals = np.array(robot_state.pose), np.array(robot_state.goal)  # contiguous for compiled code
+        lookahead_points(offsets, self._grid_geometries(robot_state), lengths.ravel(), poses, goals, lookahead, points)
+        return np.where(self._arrays["standing"][:, None] < 0, self._arrays["escape"], points)
+
+    def _watch(self, poses: np.ndarray) -> None:
+        """Count for how long each robot stands on a spot."""
+        arrays = self._arrays
+        arrays["standing"] += 1
+        has_moved = np.hypot(*(poses[:, :2] - arrays["spot"]).T) > _STANDING_RADIUS
+        begins_anew = (has_moved & (arrays["standing"] > 0)) | (arrays["standing"] == 0)
+        arrays["standing"][begins_anew], arrays["spot"][begins_anew] = 0, poses[begins_anew, :2]
+
+    def _plan(self, i: int, pose: np.ndarray, goal: np.ndarray, grid: np.ndarray, bounds: np.ndarray) -> None:
+        """Plan the path of one robot, or let it escape from a spot."""
+        arrays, max_clearance = self._arrays, self._radius + PREFERRED_GAP
+        clearance = np.minimum(self._distance_to_bounds(bounds), max_clearance)
+        _limit_clearance(arrays["hits"][i], arrays["points"][i], max_clearance, clearance)
+        if arrays["standing"][i] == _STANDING_STEPS:
+            arrays["escape"][i] = _roomiest_point(clearance, grid, pose, self._radius)
+            arrays["standing"][i] = -_ESCAPE_STEPS
+        (row, column), (goal_row, goal_column) = _cell(grid, pose), _cell(grid, goal)
+        costs = path_costs(clearance - _MARGIN, self._radius)
+        for cell in ((row, column), (goal_row, goal_column)):
+            _free_surroundings(costs, clearance, *cell, self._radius - _NOISE)
+        lengths = march(costs, goal_row, goal_column, CELL_SIZE, (row, column))
+        if np.isinf(lengths[row, column]):
+            arrays["hits"][i] = 0
+            lengths = march(np.ones(self._shape), goal_row, goal_column, CELL_SIZE, (row, column))
+        arrays["path_length"][i], arrays["age"][i], arrays["changes"][i] = lengths, 0, 0
+
+    def _distance_to_bounds(self, bounds: np.ndarray) -> np.ndarray:
+        """Distance of each cell to the bounds (4,) [m], shape (rows, columns); 0 outside the bounds."""
+        rows, columns = self._shape
+        y, x = CELL_SIZE * np.arange(rows)[:, None], CELL_SIZE * np.arange(columns)
+        gap_x, gap_y = np.minimum(x, bounds[2] - bounds[0] - x), np.minimum(y, bounds[3] - bounds[1] - y)
+        return np.maximum(np.minimum(gap_x, gap_y), 0.0)
+
+    def _grid_geometries(self, robot_state: RobotState) -> np.ndarray:
+        """Geometry of each grid: rows, columns, x, y of the first cell's centre [m], cell size [m]; (num_envs, 5)."""
+        corners = robot_state.initial_state.bounds[:, :2]
+        ones = np.ones((len(corners), 1))
+        return np.column_stack([self._shape * ones, corners, CELL_SIZE * ones])
+
+
+@njit(cache=True)
+def _cell(grid, position):
+    """Row and column of the cell that contains a position x, y [m], or the nearest one; see `_grid_geometries`."""
+    row = min(max(round((position[1] - grid[3]) / grid[4]), 0), int(grid[0]) - 1)
+    return row, min(max(round((position[0] - grid[2]) / grid[4]), 0), int(grid[1]) - 1)
+
+
+@njit(cache=True)
+def _add_scans(poses, ranges, angles, max_range, geometries, hits, points, changes):
+    """Add scans to the scores and the points; count cells that become occupied or free in `changes` (num_envs,).
+
+    Args:
+        poses, ranges: Of the robots, shape (num_envs, 3) and (num_envs, beams).
+        angles: Directions of the beams [rad], shape (beams,).
+        max_range: Points beyond it are not added [m].
+        geometries: See `_grid_geometries`.
+        hits, points: Shape (num_envs, rows, columns), and the same with a last axis x, y in `_POINT_UNIT`.
+    """
+    rows, columns = hits.shape[1], hits.shape[2]
+    for i in range(poses.shape[0]):
+        x, y = poses[i, 0] - geometries[i, 2], poses[i, 1] - geometries[i, 3]
+        for beam in range(ranges.shape[1]):
+            heading, length = poses[i, 2] + angles[beam], ranges[i, beam]
+            if length == np.inf:
+                continue
+            dx, dy, last_row, last_column = math.cos(heading), math.sin(heading), -1, -1
+            for step in range(int(2 * min(length, max_range) / CELL_SIZE)):
+                row = round(y / CELL_SIZE + 0.5 * step * dy)
+                column = round(x / CELL_SIZE + 0.5 * step * dx)
+                if not (0 <= row < rows and 0 <= column < columns):
+                    break
+                if hits[i, row, column] <= 0 or (row == last_row and column == last_column):
+                    continue
+                last_row, last_column = row, column
+                to_x = column * CELL_SIZE + _POINT_UNIT * points[i, row, column, 0] - x
+                to_y = row * CELL_SIZE + _POINT_UNIT * points[i, row, column, 1] - y
+                is_passed = to_x * dx + to_y * dy < length - _PASSING_GAP
+                if is_passed and abs(to_x * dy - to_y * dx) < _PASSING_WIDTH:
+                    hits[i, row, column] -= 1
+                    changes[i] += hits[i, row, column] == 0
+            end_x, end_y = (x + length * dx) / CELL_SIZE, (y + length * dy) / CELL_SIZE
+            row, column = round(end_y), round(end_x)
+            if length > max_range or not (0 <= row < rows and 0 <= column < columns):
+                continue
+            is_new = hits[i, row, column] <= 0
+            changes[i] += is_new
+            for axis, offset in enumerate((end_x - column, end_y - row)):
+                new, old = 2 * 127 * offset, float(points[i, row, column, axis])
+                points[i, row, column, axis] = round(new if is_new else old + 0.25 * (new - old))
+            hits[i, row, column] = min(hits[i, row, column] + _HIT_INCREMENT, _MAX_HITS)
+
+
+@njit(cache=True)
+def _limit_clearance(hits, points, max_clearance, clearance):
+    """Lower `clearance` (rows, columns) [m] to the distance from the points, up to `max_clearance` [m]."""
+    rows, columns = hits.shape
+    max_cells = int(max_clearance / CELL_SIZE + 0.5)
+    for row in range(rows):
+        for column in range(columns):
+            if hits[row, column] <= 0:
+                continue
+            y = row + points[row, column, 1] * _POINT_UNIT / CELL_SIZE
+            x = column + points[row, column, 0] * _POINT_UNIT / CELL_SIZE
+            for r in range(max(row - max_cells, 0), min(row + max_cells + 1, rows)):
+                for c in range(max(column - max_cells, 0), min(column + max_cells + 1, columns)):
+                    clearance[r, c] = min(clearance[r, c], CELL_SIZE * math.hypot(r - y, c - x))
+
+
+@njit(cache=True)
+def _free_surroundings(costs, clearance, row, column, least_clearance):
+    """Let paths begin or end at a cell, and near it in cells with a clearance [m] that noise may have lowered."""
+    reach, highest = int(_NEAR / CELL_SIZE), costs.max()
+    for r in range(max(row - reach, 0), min(row + reach + 1, costs.shape[0])):
+        for c in range(max(column - reach, 0), min(column + reach + 1, costs.shape[1])):
+            if costs[r, c] == 0.0 and clearance[r, c] >= least_clearance:
+                costs[r, c] = highest
+    costs[row, column] = max(costs[row, column], 1.0)
+
+
+@njit(cache=True)
+def _roomiest_point(clearance, grid, pose, radius):
+    """The point x, y [m] around a robot to which it can drive straight, and which has the most clearance."""
+    best, best_x, best_y = -1.0, pose[0], pose[1]
+    for direction in range(16):
+        heading, least = pose[2] + direction * math.tau / 16, np.inf
+        for step in range(1, int(_ESCAPE_DISTANCE / CELL_SIZE) + 1):
+            x, y = pose[0] + step * CELL_SIZE * math.cos(heading), pose[1] + step * CELL_SIZE * math.sin(heading)
+            row, column = _cell(grid, (x, y))
+            least = min(least, clearance[row, column]) if step > 2 else least
+            if least < radius:
+                break
+            if clearance[row, column] >= best:  # clearances are limited, so take the farthest
+                best, best_x, best_y = clearance[row, column], x, y
+    return best_x, best_y
