@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import tb2rl
+from tb2rl.core import agent_names
 from tb2rl.runs import read_lines
 
 FOLDER = Path(__file__).parent.parent / "docs" / "benchmark"
@@ -31,12 +32,15 @@ def test_the_page_shows_the_stored_runs(module, tmp_path):
     assert {file.name for file in tmp_path.glob("*.svg")} == {file.name for file in FOLDER.glob("*.svg")}
 
 
-def test_every_valid_pair_has_runs(module):
-    pairs = module("pairs")
+def test_every_valid_pair_has_all_its_runs(module):
+    pairs, run = module("pairs"), module("run")
     rows = [row for row in read_lines(FOLDER / "runs.jsonl") if row["seed"] != pairs.PILOT]
     counts = Counter((row["name"], row["task"]) for row in rows)
     in_physics = Counter((row["name"], row["task"]) for row in rows if "bullet" in row["results"])
-    assert [pair for pair in pairs.find_pairs() if not counts[pair] or not in_physics[pair]] == []
+    for pair in pairs.find_pairs():
+        name, _ = pair
+        seeds = 1 if pairs.is_rule(name) else run.SEEDS if name in agent_names() else run.OTHER_SEEDS
+        assert (counts[pair], in_physics[pair]) == (seeds, min(seeds, run.PHYSICS_SEEDS)), pair
 
 
 @pytest.mark.bullet
