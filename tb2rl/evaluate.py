@@ -17,8 +17,9 @@ their sim-to-sim difference. It works with `--suite`, too.
     python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite unseen --on ray
 
 A suite is a fixed set of worlds; the policy drives once in each, from the start to the goal. `unseen` has a thousand
-worlds that are used for nothing else. `barn` has the worlds of the BARN challenge; PATH is a copy of its repository.
-The same command continues an interrupted suite. `--on ray` distributes the worlds with Ray, here or on a cluster.
+worlds that are used for nothing else, `unknown` 300 floors of 20 to 40 m for robots without a map. `barn` has the
+worlds of the BARN challenge; PATH is a copy of its repository. The same command continues an interrupted suite.
+`--on ray` distributes the worlds with Ray, here or on a cluster.
 
     python -m tb2rl.evaluate runs/maze/dqn/NAME --simulation ros --steps 300
 
@@ -40,7 +41,7 @@ def main(parser: ArgumentParser) -> None:
     add("--episodes", type=between(1, 100_000), help="number of episodes (default: 100; with --simulation ros: 1)")
     add("--steps", type=between(1, 2**31 - 1), help="maximum control steps of an episode (default: 1500)")
     add("--seed", type=between(0, 2**32 - 1), help="seed of the start poses")
-    add("--suite", nargs="+", metavar=("NAME", "PATH"), help="evaluate in a suite: unseen, or barn PATH")
+    add("--suite", nargs="+", metavar=("NAME", "PATH"), help="evaluate in a suite: unseen, unknown, or barn PATH")
     add_executor_arguments(parser)
     add("--json", type=Path, metavar="FILE", help="write the result to this file, not to the run folder")
     add_robot_arguments(parser, "all (every physics simulator), ")

@@ -58,6 +58,8 @@ class SuiteEpisode:
         """The record of an episode with control steps of `control_period` [s]."""
         has_departed = np.hypot(*(episode.path - episode.path[0]).T) >= _DEPARTURE_DISTANCE
         moving_steps = episode.length - int(has_departed.argmax()) if has_departed.any() else 0
+        if suite.time_limits and episode.length > round(suite.time_limits[episode.world] / control_period):
+            episode = replace(episode, ended=TIME_LIMIT, success=False, failed=False)
         return cls(
             **{name: getattr(episode, name) for name in _COPIED_FIELDS},
             time=episode.length * control_period,

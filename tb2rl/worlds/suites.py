@@ -1,6 +1,6 @@
 """Suites: worlds for comparisons of navigation policies, with one episode from start to goal in each world.
 
-The suite `unseen` is generated and frozen; `barn` is read from files of the BARN challenge.
+The suites `unseen` and `unknown` are generated and frozen; `barn` is read from files of the BARN challenge.
 """
 
 import hashlib
@@ -17,17 +17,38 @@ from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.worlds.floor import PoseSampler
 from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.formats.sdf import read_sdf
-from tb2rl.worlds.generators import FAMILIES, GeneratorSettings, generate, world_rng
+from tb2rl.worlds.generators import (
+    FAMILIES,
+    GeneratorSettings,
+    WorldMaker,
+    generate,
+    offices,
+    rooms,
+    tunnels,
+    world_rng,
+)
 from tb2rl.worlds.goal_paths import shortest_path_length
 from tb2rl.worlds.world import World
 
 ROBOT_RADIUS = 0.178  # [m] radius of a TurtleBot2, for which the shortest paths are computed
 START_CLEARANCE, GOAL_CLEARANCE = 0.25, 0.3  # [m] clearance of starts and goals in `unseen`
 MIN_PATH_LENGTH = 4.0  # [m] minimum path length from start to goal in `unseen`
-SUITES = ("unseen", "barn")
+SUITES = ("unseen", "unknown", "barn")
 _UNSEEN = GeneratorSettings("mixed", worlds=1000, difficulty=(0.0, 1.0), seed=0, size=(8.0, 8.0))
+_UNKNOWN_SEED = 2  # unlike that of `unseen`
 _UNSEEN_TIME_LIMIT = 120.0  # [s] enough for the longest path at half the top speed
 _START_AND_GOAL_SEED = 1  # another seed than that of the worlds
+_ATTEMPTS = 50  # draws of a start and a goal in a world
+_NUM_UNKNOWN = 300  # worlds of `unknown`
+# Its families in turns, each with the least and the largest side of a floor [m].
+_UNKNOWN: tuple[tuple[WorldMaker, float, float], ...] = (
+    (offices, 20.0, 40.0),
+    (rooms, 20.0, 30.0),
+    (tunnels, 20.0, 30.0),
+)
+_MIN_UNKNOWN_PATH, _DETOUR = 15.0, 1.5  # [m] shortest path, and length of a third of the paths over the straight line
+_PASSAGE = 0.5  # [m] width of all passages that a path needs, as in generated worlds at difficulty 1
+_KNOWN_SPEED, _BUDGET = 0.55, 4.0  # [m/s] of a planner that knows the map, and the multiple of its time to be used
 _BARN_TIME_LIMIT, _BARN_GOAL_RADIUS = 100.0, 1.0  # [s], [m] rules of the challenge
 # Worlds of BARN (Perille et al. 2020, "Benchmarking Metric Ground Navigation"): a yard with posts on a grid, and with
 # walls of posts on three sides. A robot starts near the closed end. The goal is beyond the open end.
@@ -48,6 +69,7 @@ class Suite:
         families: Family of each world, such as the name of its generator.
         path_lengths: Length of the shortest path from start to goal in each world [m], see `shortest_path_length`.
         time_limit: Time limit of an episode [s].
+        time_limits: Time limits of the episodes [s], none above `time_limit`; None: `time_limit` for all.
         goal_radius: Distance at which the goal is reached [m]; None: the goal radius of the task.
         reference_lengths: Lengths of the reference paths of the BARN score [m], one per world; None: no such score.
         path: File or folder of the worlds; None: the worlds are generated.
@@ -61,6 +83,7 @@ class Suite:
     goal_radius: float | None = None
     reference_lengths: tuple[float, ...] | None = None
     path: Path | None = None
+    time_limits: tuple[float, ...] | None = None
 
     @cached_property
     def digest(self) -> str:
@@ -82,8 +105,8 @@ def find_suite(name: str, path: Path | None = None) -> Suite:
     if name not in SUITES:
         raise unknown("suite", name, SUITES)
     if (name == "barn") != (path is not None):
-        raise InputError("suite barn needs the path of its worlds, barn PATH; suite unseen takes no path")
-    return unseen() if path is None else barn(path)
+        raise InputError("suite barn needs the path of its worlds, barn PATH; other suites take no path")
+    return barn(path) if path else unseen() if name == "unseen" else unknown_floors()
 
 
 @lru_cache(maxsize=1)
@@ -94,9 +117,26 @@ def unseen() -> Suite:
     results stay comparable. A suite of other worlds needs another name.
     """
     generated = generate(_UNSEEN, FAMILIES, "suite")
-    worlds, lengths = zip(*map(_randomise_start_and_goal, generated, range(len(generated))), strict=True)
+    found = [
+        _draw_start_and_goal(each, world_rng("suite", _START_AND_GOAL_SEED, number))
+        for number, each in enumerate(generated)
+    ]
+    worlds, lengths = zip(*filter(None, found), strict=True)
     families = tuple(FAMILIES[number % len(FAMILIES)].__name__ for number in range(len(worlds)))
     return Suite("unseen", worlds, families, lengths, _UNSEEN_TIME_LIMIT)
+
+
+@lru_cache(maxsize=1)
+def unknown_floors() -> Suite:
+    """300 floors of buildings and mazes with sides of 20 to 40 m, for robots without a map; never used in training.
+
+    Paths have at least 15 m. A third of them, in turns of three, are at least 1.5 times as long as the straight line.
+    A robot has four times the time that a planner with the map would need. The suite is frozen, as `unseen` is.
+    """
+    worlds, lengths = zip(*map(_draw_unknown_floor, range(_NUM_UNKNOWN)), strict=True)
+    families = tuple(_UNKNOWN[number % len(_UNKNOWN)][0].__name__ for number in range(_NUM_UNKNOWN))
+    limits = tuple(_BUDGET * length / _KNOWN_SPEED for length in lengths)
+    return Suite("unknown", tuple(worlds), families, tuple(lengths), max(limits), time_limits=limits)
 
 
 def barn(path: Path) -> Suite:
@@ -117,19 +157,43 @@ def barn(path: Path) -> Suite:
     return Suite("barn", worlds, families, lengths, *limits, reference_lengths, path)
 
 
-def _randomise_start_and_goal(world: World, number: int) -> tuple[World, float]:
-    """Draw a random start and goal; return the new world and its path length [m]."""
-    rng, sampler = world_rng("suite", _START_AND_GOAL_SEED, number), PoseSampler((world,), ROBOT_RADIUS)
+def _draw_unknown_floor(number: int) -> tuple[World, float]:
+    """Draw a floor of `unknown`; return it and its path length [m]."""
+    maker, least, largest = _UNKNOWN[number % len(_UNKNOWN)]
+    rng, detour = world_rng("suite", _UNKNOWN_SEED, number), _DETOUR if number // len(_UNKNOWN) % 3 == 0 else 0.0
+    found = None
+    while found is None:
+        world = maker(rng, rng.random(), (rng.uniform(least, largest), rng.uniform(least, largest)))
+        named = replace(world, name=f"{maker.__name__} {number} (unknown)")
+        found = _draw_start_and_goal(named, rng, _PASSAGE / 2, _MIN_UNKNOWN_PATH, detour)
+    return found
+
+
+def _draw_start_and_goal(
+    world: World,
+    rng: np.random.Generator,
+    radius: float = ROBOT_RADIUS,
+    min_length: float = MIN_PATH_LENGTH,
+    detour: float = 0.0,
+) -> tuple[World, float] | None:
+    """Draw a random start and goal; return the new world and its path length [m], or None if there are hardly any.
+
+    A robot with this radius [m] can drive from one to the other. The path has at least `min_length` [m], and at least
+    `detour` times the length of the straight line.
+    """
+    sampler = PoseSampler((world,), radius)
 
     def draw(clearance: float) -> tuple[float, float, float]:
         x, y, yaw = sampler.sample_poses(np.zeros(1, dtype=int), rng.random((1, 4)), clearance)[0].tolist()
         return x, y, yaw
 
-    while True:  # terminates, because a third of the floor is reachable
-        candidate = replace(world, start=draw(START_CLEARANCE), goal=draw(GOAL_CLEARANCE))
-        length = shortest_path_length(candidate, ROBOT_RADIUS)
-        if MIN_PATH_LENGTH <= length < math.inf:
+    for _ in range(_ATTEMPTS):
+        start, goal = draw(START_CLEARANCE), draw(GOAL_CLEARANCE)
+        candidate = replace(world, start=start, goal=goal)
+        length = shortest_path_length(candidate, radius)
+        if max(min_length, detour * math.dist(start[:2], goal[:2])) <= length < math.inf:
             return candidate, length
+    return None
 
 
 def read_barn(path: Path) -> list[tuple[World, float]]:

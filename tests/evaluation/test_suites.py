@@ -212,6 +212,13 @@ def test_the_time_limit_is_that_of_the_suite_and_an_empty_world_has_no_gap(suite
     assert [drive.min_clearance is None for drive in drives] == [False, False, True]
 
 
+def test_an_episode_that_exceeds_the_time_limit_of_its_own_world_has_not_succeeded(suite, task):
+    limited = replace(suite, time_limit=8.0, time_limits=(8.0, 1.0, 8.0))
+    with suite_evaluator(suite_scene(make_scene(task, "raw"), limited), 1, "kinematic") as evaluator:
+        drives = list(run_suite(evaluator, Straight(), limited))
+    assert [(drive.ended, drive.success) for drive in drives] == [("goal", True), ("time limit", False), ("goal", True)]
+
+
 def test_tasks_without_goals_of_the_worlds_are_refused(suite, northward):
     with pytest.raises(InputError, match="leads to the goals of its worlds, such as navigate"):
         suite_scene(make_scene(Wander(), "raw"), suite)

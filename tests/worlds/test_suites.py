@@ -13,10 +13,12 @@ from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import suites
 from tb2rl.worlds.generators import FAMILIES
-from tb2rl.worlds.suites import MIN_PATH_LENGTH, ROBOT_RADIUS, Suite, barn, find_suite, unseen
+from tb2rl.worlds.suites import MIN_PATH_LENGTH, ROBOT_RADIUS, Suite, barn, find_suite, unknown_floors, unseen
 from tb2rl.worlds.world import World
 
 FIRST = "d8e0aa0035ccef4f5118e40e9c02adf0d997ae03fc9a5e4ffcccd245ed65df2c"  # of five worlds
+FIRST_UNKNOWN = "5f20ff5a29c3274ead1b1cd7a80e64ca3d88fcc36703dfa0d1d9404cdc90120e"  # of three floors
+UNKNOWN_DIGEST = "3c69c84347933d5242952839ac33f069596908460693d41e8f866797196af95b"
 DIGEST = "edf133da02086c2c9c181ef4e1c84501f5f628353e42b8378965b010b006f725"
 
 
@@ -37,9 +39,24 @@ def test_the_suite_is_frozen_and_every_path_is_worth_driving_and_can_be_driven()
         assert world.free_space(ROBOT_RADIUS - 0.01).covers(shapely.MultiPoint([world.start[:2], world.goal[:2]]))
 
 
-def test_the_first_worlds_of_the_suite_are_frozen(monkeypatch):
+def test_the_first_worlds_of_the_suites_are_frozen(monkeypatch):
     monkeypatch.setattr(suites, "_UNSEEN", replace(suites._UNSEEN, worlds=5))
     assert unseen.__wrapped__().digest == FIRST
+    monkeypatch.setattr(suites, "_NUM_UNKNOWN", 3)
+    assert unknown_floors.__wrapped__().digest == FIRST_UNKNOWN
+
+
+@pytest.mark.slow
+def test_unknown_floors_are_frozen_and_a_third_of_the_ways_are_detours():
+    suite = find_suite("unknown")
+    assert suite.digest == UNKNOWN_DIGEST
+    assert [suite.families.count(name) for name in ("offices", "rooms", "tunnels")] == [100] * 3
+    lengths, limits = np.array(suite.path_lengths), np.array(suite.time_limits)
+    straight = np.array([math.dist(world.start[:2], world.goal[:2]) for world in suite.worlds])
+    assert lengths.min() >= 15.0
+    assert (lengths >= 1.5 * straight).mean() > 1 / 3
+    assert limits == pytest.approx(4 * lengths / 0.55)
+    assert suite.time_limit == limits.max()
 
 
 def tiny(**changed) -> Suite:

@@ -27,9 +27,9 @@ def rooms(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
         (c0, r0), (c1, r1) = sorted(pair)
         width = door_width if rng.random() < EXTRA_DOORS or pair in tree else 0.0
         if c1 > c0:
-            boxes += ((x[c1], centre, WALL, w, 0.0) for centre, w in _wall_parts(rng, y[r0], y[r0 + 1], width))
+            boxes += ((x[c1], centre, WALL, w, 0.0) for centre, w in wall_parts(rng, y[r0], y[r0 + 1], width))
         else:
-            boxes += ((centre, y[r1], w, WALL, 0.0) for centre, w in _wall_parts(rng, x[c0], x[c0 + 1], width))
+            boxes += ((centre, y[r1], w, WALL, 0.0) for centre, w in wall_parts(rng, x[c0], x[c0 + 1], width))
     return boxes, []
 
 
@@ -39,7 +39,7 @@ def _borders(rng: np.random.Generator, count: int, length: float) -> list[float]
     return [0.0, *(step * (np.arange(1, count) + rng.uniform(-0.15, 0.15, count - 1))).tolist(), length]
 
 
-def _wall_parts(rng: np.random.Generator, first: float, last: float, door_width: float) -> list[tuple[float, float]]:
+def wall_parts(rng: np.random.Generator, first: float, last: float, door_width: float) -> list[tuple[float, float]]:
     """Centre and length of each part of a wall [m], with a door at a random position unless its width is 0."""
     first, last = first - WALL / 2, last + WALL / 2  # walls overlap at corners
     ends = [first, last]
