@@ -23,7 +23,6 @@ from tb2rl.worlds.generators import (
     WorldMaker,
     generate,
     offices,
-    rooms,
     tunnels,
     world_rng,
 )
@@ -43,7 +42,6 @@ _NUM_UNKNOWN = 300  # worlds of `unknown`
 # Its families in turns, each with the least and the largest side of a floor [m].
 _UNKNOWN: tuple[tuple[WorldMaker, float, float], ...] = (
     (offices, 20.0, 40.0),
-    (rooms, 20.0, 30.0),
     (tunnels, 20.0, 30.0),
 )
 _MIN_UNKNOWN_PATH, _DETOUR = 15.0, 1.5  # [m] shortest path, and length of a third of the paths over the straight line
@@ -128,9 +126,9 @@ def unseen() -> Suite:
 
 @lru_cache(maxsize=1)
 def unknown_floors() -> Suite:
-    """300 floors of buildings and mazes with sides of 20 to 40 m, for robots without a map; never used in training.
+    """300 floors of offices and tunnels with sides of 20 to 40 m, for robots without a map; never used in training.
 
-    Paths have at least 15 m. A third of them, in turns of three, are at least 1.5 times as long as the straight line.
+    Paths have at least 15 m. At least a third of them are at least 1.5 times as long as the straight line.
     A robot has four times the time that a planner with the map would need. The suite is frozen, as `unseen` is.
     """
     worlds, lengths = zip(*map(_draw_unknown_floor, range(_NUM_UNKNOWN)), strict=True)

@@ -187,7 +187,7 @@ def cruise() -> type[Task]:
 def short_evaluations(monkeypatch) -> None:
     """Evaluations that are made for a page: one short episode."""
     short = partial(evaluate, steps=20, simulation="kinematic")
-    monkeypatch.setattr(run_views, "evaluate", lambda policy, episodes, progress: short(policy, episodes=1))
+    monkeypatch.setattr(run_views, "evaluate", lambda policy, episodes, progress_bar: short(policy, episodes=1))
 
 
 @pytest.fixture(scope="session")

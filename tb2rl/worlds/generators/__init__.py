@@ -21,7 +21,6 @@ __all__ = [
     "WorldMaker",
     "generate",
     "offices",
-    "rooms",
     "solvable",
     "tunnels",
     "world_rng",

@@ -2,6 +2,7 @@
 
 import socket
 from importlib import import_module
+from urllib.request import urlopen
 
 import pytest
 
@@ -27,8 +28,8 @@ def test_only_this_computer_can_open_the_page(open_server, capsys):
     server = open_server(None, 0)
     assert server.warning == ""
     assert server.get_host() == "127.0.0.1"
-    with socket.create_connection(("127.0.0.1", server.get_port())):
-        pass
+    with urlopen(f"http://127.0.0.1:{server.get_port()}") as page:
+        assert b"<html" in page.read()
     assert server.url == f"http://localhost:{server.get_port()}"
     assert capsys.readouterr().out == ""
 
