@@ -1,4 +1,4 @@
-"""Episode states: histories and maps that last for an episode, besides the latest robot state."""
+"""Episode states: histories, and the base class of maps, that last for an episode, besides the latest robot state."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping

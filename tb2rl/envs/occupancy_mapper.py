@@ -15,12 +15,12 @@ _PLANNING_PERIOD = 6  # [control steps] between two plans, if the map has change
 _HIT_INCREMENT = 4  # added to the score of the cell where a beam ends; a passing beam subtracts 1
 _MAX_HITS = 20  # largest score
 _MAPPING_RANGE = 10.0  # [m] beyond which an error of the heading would misplace what a beam hits
-_PASSING_GAP = 0.05  # [m] a beam passes a point if it ends at least this far behind it,
-_PASSING_WIDTH = 0.02  # [m] and at most this far beside it
+_PASSING_GAP = 0.05  # [m] least distance behind a point at which a beam that passes it ends
+_PASSING_WIDTH = 0.02  # [m] largest distance between a point and a beam that passes it
 _POINT_UNIT = 0.5 * CELL_SIZE / 127  # [m] of the stored offsets of points from the centres of their cells
 _MARGIN = 0.02  # [m] kept from points in addition to the robot's radius, because a map is not exact
-_NEAR = 0.35  # [m] from a robot or a goal, within which
-_NOISE = 0.08  # [m] a cell may lack this much room, because a robot can stand beside a wall
+_NEAR = 0.35  # [m] from a robot or a goal: here, paths may use cells with too little room
+_NOISE = 0.08  # [m] of room that these cells may lack, because ranges are noisy
 _STANDING_STEPS = 50  # control steps on the spot after which the robot takes another way
 _STANDING_RADIUS = 0.15  # [m] of the spot
 _ESCAPE_STEPS = 20  # control steps for which the robot leaves a spot
@@ -72,7 +72,7 @@ class OccupancyMapper(EpisodeState):
         grids = arrays["hits"], arrays["points"]
         _add_scans(poses, ranges, self._angles, self._range, geometries, *grids, arrays["changes"])
         arrays["age"] += 1
-        self._watch(poses)
+        self._count_standing(poses)
         is_old = (arrays["age"] >= _PLANNING_PERIOD) & (arrays["changes"] > 0)
         for i in np.flatnonzero(is_old | (arrays["standing"] == _STANDING_STEPS)).tolist():
             self._plan(i, poses[i], robot_state.goal[i], geometries[i], robot_state.initial_state.bounds[i])
@@ -85,7 +85,7 @@ class OccupancyMapper(EpisodeState):
         lookahead_points(offsets, self._grid_geometries(robot_state), lengths.ravel(), poses, goals, lookahead, points)
         return np.where(self._arrays["standing"][:, None] < 0, self._arrays["escape"], points)
 
-    def _watch(self, poses: np.ndarray) -> None:
+    def _count_standing(self, poses: np.ndarray) -> None:
         """Count for how long each robot stands on a spot."""
         arrays = self._arrays
         arrays["standing"] += 1

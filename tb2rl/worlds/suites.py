@@ -17,15 +17,7 @@ from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.worlds.floor import PoseSampler
 from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.formats.sdf import read_sdf
-from tb2rl.worlds.generators import (
-    FAMILIES,
-    GeneratorSettings,
-    WorldMaker,
-    generate,
-    offices,
-    tunnels,
-    world_rng,
-)
+from tb2rl.worlds.generators import FAMILIES, GeneratorSettings, WorldMaker, generate, offices, tunnels, world_rng
 from tb2rl.worlds.goal_paths import shortest_path_length
 from tb2rl.worlds.world import World
 
@@ -134,7 +126,7 @@ def unknown_floors() -> Suite:
     worlds, lengths = zip(*map(_draw_unknown_floor, range(_NUM_UNKNOWN)), strict=True)
     families = tuple(_UNKNOWN[number % len(_UNKNOWN)][0].__name__ for number in range(_NUM_UNKNOWN))
     limits = tuple(_BUDGET * length / _KNOWN_SPEED for length in lengths)
-    return Suite("unknown", tuple(worlds), families, tuple(lengths), max(limits), time_limits=limits)
+    return Suite("unknown", worlds, families, lengths, max(limits), time_limits=limits)
 
 
 def barn(path: Path) -> Suite:
