@@ -6,6 +6,7 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.envs.episode_state import EpisodeState
+from tb2rl.envs.scan_matching import MOUNT_YAW, NUM_ERRORS, POINT_UNIT, track
 from tb2rl.simulation import RobotState, SimulationSpec
 from tb2rl.simulation.spec import BOUNDS
 from tb2rl.worlds.floor import CELL_SIZE
@@ -17,7 +18,7 @@ _MAX_HITS = 20  # largest score
 _MAPPING_RANGE = 10.0  # [m] beyond which an error of the heading would misplace what a beam hits
 _PASSING_GAP = 0.05  # [m] least distance behind a point at which a beam that passes it ends
 _PASSING_WIDTH = 0.02  # [m] largest distance between a point and a beam that passes it
-_POINT_UNIT = 0.5 * CELL_SIZE / 127  # [m] of the stored offsets of points from the centres of their cells
+_BORDER = 2.0  # [m] of the maps around the bounds of the worlds
 _MARGIN = 0.02  # [m] kept from points in addition to the robot's radius, because a map is not exact
 _NEAR = 0.35  # [m] from a robot or a goal: here, paths may use cells with too little room
 _NOISE = 0.08  # [m] of room that these cells may lack, because ranges are noisy
@@ -34,27 +35,32 @@ class OccupancyMapper(EpisodeState):
     angle sonar"), and the mean of the points that beams have hit in it, so that thin walls and narrow doors are as
     accurate as the laser. A beam that passes this point lowers the score. Unknown space is free, as with
     `allow_unknown` in Nav2, so the plan changes with new scans. A beam without a hit tells nothing, as in Nav2 without
-    `inf_is_valid`, because dark surfaces reflect nothing. The exact pose and the bounds of the floor are known, but no
-    obstacles.
+    `inf_is_valid`, because dark surfaces reflect nothing. The robot knows its start, and then its odometry, which scan
+    matching corrects; it knows no obstacles.
 
     Where no path is left, the map is forgotten; a robot that stands for 5 s turns to the place with the most room
     around it, before it follows its plan again (the recoveries of Nav2: clear the map, turn).
 
     Args:
-        spec: The robot, its laser and the worlds, of which only the bounds are used.
+        spec: The robot, its laser and the worlds, whose bounds determine the size of the maps.
     """
 
     field = "occupancy_map"
 
     def __init__(self, spec: SimulationSpec) -> None:
         bounds = spec.table[:, BOUNDS]
-        self._shape = tuple(np.ceil((bounds[:, [3, 2]] - bounds[:, [1, 0]]).max(axis=0) / CELL_SIZE).astype(int) + 1)
+        sides = (bounds[:, [3, 2]] - bounds[:, [1, 0]]).max(axis=0) + 2 * _BORDER
+        self._shape = tuple(np.ceil(sides / CELL_SIZE).astype(int) + 1)
         self._radius, self._angles = spec.robot.radius, spec.laser.angles
         self._range = min(spec.laser.max_range, _MAPPING_RANGE)
 
     def initial_arrays(self, robot_state: RobotState) -> dict[str, np.ndarray]:
         shape = len(robot_state.pose), *self._shape
         return {
+            "start": np.array(robot_state.pose[:, :2]),
+            "pose": np.array(robot_state.pose),  # estimate of the laser's pose on the map
+            "odometry": np.array(robot_state.odometry),  # of the last step
+            "errors": np.zeros((shape[0], NUM_ERRORS)),  # see `tb2rl.envs.scan_matching`
             "hits": np.zeros(shape, np.int8),
             "points": np.zeros((*shape, 2), np.int8),
             "path_length": np.empty(shape, np.float32),
@@ -68,22 +74,37 @@ class OccupancyMapper(EpisodeState):
     def update(self, robot_state: RobotState, commands: np.ndarray) -> None:
         """Add the latest scans to the maps, and renew the plans that the changes make old."""
         geometries, arrays = self._grid_geometries(robot_state), self._arrays
-        poses, ranges = np.array(robot_state.pose), np.array(robot_state.ranges)
-        grids = arrays["hits"], arrays["points"]
+        poses, ranges, grids = arrays["pose"], np.array(robot_state.ranges), (arrays["hits"], arrays["points"])
+        odometry, errors = np.array(robot_state.odometry), arrays["errors"]
+        _localize(poses, arrays["odometry"], odometry, errors, ranges, self._angles, self._range, geometries, *grids)
+        arrays["odometry"] = odometry
         _add_scans(poses, ranges, self._angles, self._range, geometries, *grids, arrays["changes"])
         arrays["age"] += 1
         self._count_standing(poses)
         is_old = (arrays["age"] >= _PLANNING_PERIOD) & (arrays["changes"] > 0)
+        goals = self._goals(robot_state)
         for i in np.flatnonzero(is_old | (arrays["standing"] == _STANDING_STEPS)).tolist():
-            self._plan(i, poses[i], robot_state.goal[i], geometries[i], robot_state.initial_state.bounds[i])
+            self._plan(i, poses[i], goals[i], geometries[i])
 
     def lookahead_point(self, robot_state: RobotState, lookahead: float) -> np.ndarray:
         """See `RobotState.lookahead_point`."""
         points, lengths = np.empty((len(robot_state.pose), 2)), self._arrays["path_length"]
         offsets = np.arange(len(lengths)) * math.prod(self._shape)  # first cell of each grid in the flat array
-        poses, goals = np.array(robot_state.pose), np.array(robot_state.goal)  # contiguous for compiled code
-        lookahead_points(offsets, self._grid_geometries(robot_state), lengths.ravel(), poses, goals, lookahead, points)
-        return np.where(self._arrays["standing"][:, None] < 0, self._arrays["escape"], points)
+        poses, grids = self._arrays["pose"], self._grid_geometries(robot_state)
+        lookahead_points(offsets, grids, lengths.ravel(), poses, self._goals(robot_state), lookahead, points)
+        points = np.where(self._arrays["standing"][:, None] < 0, self._arrays["escape"], points)
+        yaw = poses[:, 2] - self._mount_yaw
+        return robot_state.pose[:, :2] + _rotate(points - poses[:, :2], robot_state.pose[:, 2] - yaw)
+
+    @property
+    def _mount_yaw(self) -> np.ndarray:
+        """Estimates of the laser's yaw in the robot's frame [rad], shape (num_envs,)."""
+        return self._arrays["errors"][:, MOUNT_YAW]
+
+    def _goals(self, robot_state: RobotState) -> np.ndarray:
+        """Goals x, y [m] on the maps, which are turned by the yaw of the laser, shape (num_envs, 2)."""
+        starts = self._arrays["start"]
+        return starts + _rotate(robot_state.goal - starts, -self._mount_yaw)
 
     def _count_standing(self, poses: np.ndarray) -> None:
         """Count for how long each robot stands on a spot."""
@@ -93,10 +114,10 @@ class OccupancyMapper(EpisodeState):
         begins_anew = (has_moved & (arrays["standing"] > 0)) | (arrays["standing"] == 0)
         arrays["standing"][begins_anew], arrays["spot"][begins_anew] = 0, poses[begins_anew, :2]
 
-    def _plan(self, i: int, pose: np.ndarray, goal: np.ndarray, grid: np.ndarray, bounds: np.ndarray) -> None:
+    def _plan(self, i: int, pose: np.ndarray, goal: np.ndarray, grid: np.ndarray) -> None:
         """Plan the path of one robot, or let it escape from a spot."""
         arrays, max_clearance = self._arrays, self._radius + PREFERRED_GAP
-        clearance = np.minimum(self._distance_to_bounds(bounds), max_clearance)
+        clearance = np.full(self._shape, max_clearance)
         _limit_clearance(arrays["hits"][i], arrays["points"][i], max_clearance, clearance)
         if arrays["standing"][i] == _STANDING_STEPS:
             arrays["escape"][i] = _roomiest_point(clearance, grid, pose, self._radius)
@@ -111,18 +132,25 @@ class OccupancyMapper(EpisodeState):
             lengths = march(np.ones(self._shape), goal_row, goal_column, CELL_SIZE, (row, column))
         arrays["path_length"][i], arrays["age"][i], arrays["changes"][i] = lengths, 0, 0
 
-    def _distance_to_bounds(self, bounds: np.ndarray) -> np.ndarray:
-        """Distance of each cell to the bounds (4,) [m], shape (rows, columns); 0 outside the bounds."""
-        rows, columns = self._shape
-        y, x = CELL_SIZE * np.arange(rows)[:, None], CELL_SIZE * np.arange(columns)
-        gap_x, gap_y = np.minimum(x, bounds[2] - bounds[0] - x), np.minimum(y, bounds[3] - bounds[1] - y)
-        return np.maximum(np.minimum(gap_x, gap_y), 0.0)
-
     def _grid_geometries(self, robot_state: RobotState) -> np.ndarray:
         """Geometry of each grid: rows, columns, x, y of the first cell's centre [m], cell size [m]; (num_envs, 5)."""
-        corners = robot_state.initial_state.bounds[:, :2]
+        corners = robot_state.initial_state.bounds[:, :2] - _BORDER
         ones = np.ones((len(corners), 1))
         return np.column_stack([self._shape * ones, corners, CELL_SIZE * ones])
+
+
+def _rotate(vectors: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Rotate vectors (num_envs, 2) counter-clockwise by angles (num_envs,) [rad]."""
+    (x, y), cos, sin = vectors.T, np.cos(angles), np.sin(angles)
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y])
+
+
+@njit(cache=True)
+def _localize(poses, before, odometry, errors, ranges, angles, max_range, geometries, hits, points):
+    """Update the estimates of poses (num_envs, 3) and of errors (num_envs, `NUM_ERRORS`); see `track`."""
+    for i in range(poses.shape[0]):
+        grid = geometries[i], hits[i], points[i]
+        track(poses[i], errors[i], before[i], odometry[i], ranges[i], angles, max_range, *grid)
 
 
 @njit(cache=True)
@@ -141,7 +169,7 @@ def _add_scans(poses, ranges, angles, max_range, geometries, hits, points, chang
         angles: Directions of the beams [rad], shape (beams,).
         max_range: Points beyond it are not added [m].
         geometries: See `_grid_geometries`.
-        hits, points: Shape (num_envs, rows, columns), and the same with a last axis x, y in `_POINT_UNIT`.
+        hits, points: Shape (num_envs, rows, columns), and the same with a last axis x, y in `POINT_UNIT`.
     """
     rows, columns = hits.shape[1], hits.shape[2]
     for i in range(poses.shape[0]):
@@ -159,8 +187,8 @@ def _add_scans(poses, ranges, angles, max_range, geometries, hits, points, chang
                 if hits[i, row, column] <= 0 or (row == last_row and column == last_column):
                     continue
                 last_row, last_column = row, column
-                to_x = column * CELL_SIZE + _POINT_UNIT * points[i, row, column, 0] - x
-                to_y = row * CELL_SIZE + _POINT_UNIT * points[i, row, column, 1] - y
+                to_x = column * CELL_SIZE + POINT_UNIT * points[i, row, column, 0] - x
+                to_y = row * CELL_SIZE + POINT_UNIT * points[i, row, column, 1] - y
                 is_passed = to_x * dx + to_y * dy < length - _PASSING_GAP
                 if is_passed and abs(to_x * dy - to_y * dx) < _PASSING_WIDTH:
                     hits[i, row, column] -= 1
@@ -171,9 +199,11 @@ def _add_scans(poses, ranges, angles, max_range, geometries, hits, points, chang
                 continue
             is_new = hits[i, row, column] <= 0
             changes[i] += is_new
+            score = max(hits[i, row, column], 0)
+            share = _HIT_INCREMENT / (score + _HIT_INCREMENT) if score < _MAX_HITS else 0.0  # a map must not drift
             for axis, offset in enumerate((end_x - column, end_y - row)):
                 new, old = 2 * 127 * offset, float(points[i, row, column, axis])
-                points[i, row, column, axis] = round(new if is_new else old + 0.25 * (new - old))
+                points[i, row, column, axis] = round(new if is_new else old + share * (new - old))
             hits[i, row, column] = min(hits[i, row, column] + _HIT_INCREMENT, _MAX_HITS)
 
 
@@ -186,8 +216,8 @@ def _limit_clearance(hits, points, max_clearance, clearance):
         for column in range(columns):
             if hits[row, column] <= 0:
                 continue
-            y = row + points[row, column, 1] * _POINT_UNIT / CELL_SIZE
-            x = column + points[row, column, 0] * _POINT_UNIT / CELL_SIZE
+            y = row + points[row, column, 1] * POINT_UNIT / CELL_SIZE
+            x = column + points[row, column, 0] * POINT_UNIT / CELL_SIZE
             for r in range(max(row - max_cells, 0), min(row + max_cells + 1, rows)):
                 for c in range(max(column - max_cells, 0), min(column + max_cells + 1, columns)):
                     clearance[r, c] = min(clearance[r, c], CELL_SIZE * math.hypot(r - y, c - x))

@@ -1,6 +1,7 @@
 """Sensors of the goal, by odometry, and of the lookahead point on the planned path to the goal.
 
-The planner uses the robot's exact pose, and either the map of the world or a map that the robot builds online.
+The planner uses the map of the world and the robot's exact pose, or a map that the robot builds online and the pose
+that it estimates by odometry and scan matching.
 """
 
 import math

@@ -108,7 +108,7 @@ class RobotState:
     def lookahead_point(self, lookahead: float) -> np.ndarray:
         """Point `lookahead` [m] ahead on each robot's path, or the goal if it is nearer: x, y [m], shape (num_envs, 2).
 
-        The path begins at the true pose. It is planned on the robot's `occupancy_map`, or else on the true map.
+        The path is planned on the robot's `occupancy_map` from its estimated pose, or else on the true map.
         """
         if self.occupancy_map is not None:
             return self.occupancy_map.lookahead_point(self, lookahead)

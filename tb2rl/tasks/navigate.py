@@ -33,8 +33,8 @@ class Navigate(Task):
     its laser, its speeds, its latest commands, and a guide:
 
     - `guide: goal`: the goal, and where the robot was in the last minute, both by odometry; no map.
-    - `guide: plan`: the lookahead point on the shortest path. The planner knows the robot's pose and a map, which is
-      the map of the world (`map: known`), or built from laser scans (`map: online`).
+    - `guide: plan`: the lookahead point on the shortest path. The planner knows the map of the world and the robot's
+      pose (`map: known`), or builds the map from laser scans and estimates the pose (`map: online`).
 
     The reward for progress is the reduction of the path length to the goal, so driving straight into a dead end earns
     nothing. In this length, a metre near a wall counts as more than a metre. If a dynamic obstacle runs into a robot
