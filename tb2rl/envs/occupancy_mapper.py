@@ -57,7 +57,7 @@ class OccupancyMapper(EpisodeState):
     def initial_arrays(self, robot_state: RobotState) -> dict[str, np.ndarray]:
         shape = len(robot_state.pose), *self._shape
         return {
-            "start": np.array(robot_state.pose[:, :2]),
+            "start": np.array(robot_state.pose[:, :2]),  # x, y [m]
             "pose": np.array(robot_state.pose),  # estimate of the laser's pose on the map
             "odometry": np.array(robot_state.odometry),  # of the last step
             "errors": np.zeros((shape[0], NUM_ERRORS)),  # see `tb2rl.envs.scan_matching`
@@ -102,7 +102,10 @@ class OccupancyMapper(EpisodeState):
         return self._arrays["errors"][:, MOUNT_YAW]
 
     def _goals(self, robot_state: RobotState) -> np.ndarray:
-        """Goals x, y [m] on the maps, which are turned by the yaw of the laser, shape (num_envs, 2)."""
+        """Goals x, y [m] on the maps, shape (num_envs, 2).
+
+        A map begins with the heading of the robot as that of the laser, so it is turned by the yaw of the laser.
+        """
         starts = self._arrays["start"]
         return starts + _rotate(robot_state.goal - starts, -self._mount_yaw)
 
@@ -197,13 +200,13 @@ def _add_scans(poses, ranges, angles, max_range, geometries, hits, points, chang
             row, column = round(end_y), round(end_x)
             if length > max_range or not (0 <= row < rows and 0 <= column < columns):
                 continue
-            is_new = hits[i, row, column] <= 0
-            changes[i] += is_new
             score = max(hits[i, row, column], 0)
-            share = _HIT_INCREMENT / (score + _HIT_INCREMENT) if score < _MAX_HITS else 0.0  # a map must not drift
+            changes[i] += score == 0
+            # A point with the largest score stays, because a map that follows the pose drifts with it.
+            share = _HIT_INCREMENT / (score + _HIT_INCREMENT) if score < _MAX_HITS else 0.0
             for axis, offset in enumerate((end_x - column, end_y - row)):
                 new, old = 2 * 127 * offset, float(points[i, row, column, axis])
-                points[i, row, column, axis] = round(new if is_new else old + share * (new - old))
+                points[i, row, column, axis] = round(old + share * (new - old))
             hits[i, row, column] = min(hits[i, row, column] + _HIT_INCREMENT, _MAX_HITS)
 
 

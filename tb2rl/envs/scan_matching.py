@@ -44,13 +44,13 @@ def track(pose, errors, before, after, *scan_and_map):
     distance, scale, rotation = math.hypot(dx, dy), 1.0 + errors[DISTANCE], pose[2] - errors[MOUNT_YAW] - before[2]
     cos, sin = scale * math.cos(rotation), scale * math.sin(rotation)
     x, y, yaw = pose[0] + cos * dx - sin * dy, pose[1] + sin * dx + cos * dy, pose[2] + (1.0 + errors[TURN]) * turn
-    ignorance = 1.0 / (1.0 + errors[DRIVEN] / _LEARNING_DISTANCE)
-    drift = _FINAL_DRIFT + (1.0 - _FINAL_DRIFT) * ignorance
+    uncertainty = 1.0 / (1.0 + errors[DRIVEN] / _LEARNING_DISTANCE)
+    drift = _FINAL_DRIFT + (1.0 - _FINAL_DRIFT) * uncertainty
     position_deviation = _LEAST_DEVIATION + drift * _POSITION_DRIFT * distance
     heading_deviation = _LEAST_DEVIATION + drift * _HEADING_DRIFT * abs(turn)
     weights = position_deviation**-2, heading_deviation**-2
     pose[0], pose[1], pose[2] = _match((x, y, yaw), weights, *scan_and_map)
-    dx, dy, rate = pose[0] - x, pose[1] - y, _LEARNING_RATE * ignorance
+    dx, dy, rate = pose[0] - x, pose[1] - y, _LEARNING_RATE * uncertainty
     if abs(turn) < _STRAIGHT_TURN:
         share, cos, sin = rate * distance / (distance**2 + _LEAST_DISTANCE**2), math.cos(yaw), math.sin(yaw)
         errors[DISTANCE] += share * (cos * dx + sin * dy)
@@ -80,7 +80,7 @@ def _match(predicted, weights, ranges, angles, max_range, grid, hits, points):
                 continue
             ahead, left = ranges[beam] * math.cos(yaw + angles[beam]), ranges[beam] * math.sin(yaw + angles[beam])
             count, mean_x, mean_y, cxx, cxy, cyy = _distribution(x + ahead, y + left, grid, hits, points)
-            if count < _MIN_POINTS:
+            if count == 0:
                 continue
             cxx, cyy = cxx + _POINT_DEVIATION**2, cyy + _POINT_DEVIATION**2
             determinant = cxx * cyy - cxy * cxy
@@ -111,7 +111,10 @@ def _solve(xx, xy, xt, yy, yt, tt, fx, fy, ft):
 
 @njit(cache=True)
 def _distribution(x, y, grid, hits, points):
-    """Number, mean and covariance (xx, xy, yy) of the mapped points in the nine cells around a position."""
+    """Number, mean and covariance (xx, xy, yy) of the mapped points in the nine cells around a position.
+
+    All are 0 at the border of the map, and with fewer than `_MIN_POINTS` points.
+    """
     row, column = round((y - grid[3]) / CELL_SIZE), round((x - grid[2]) / CELL_SIZE)
     if not (0 < row < hits.shape[0] - 1 and 0 < column < hits.shape[1] - 1):
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -123,6 +126,8 @@ def _distribution(x, y, grid, hits, points):
                 dy = (r - row) * CELL_SIZE + POINT_UNIT * points[r, c, 1]
                 count, sx, sy = count + 1, sx + dx, sy + dy
                 sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
-    mx, my = sx / max(count, 1), sy / max(count, 1)
-    cxx, cxy, cyy = sxx / max(count, 1) - mx * mx, sxy / max(count, 1) - mx * my, syy / max(count, 1) - my * my
+    if count < _MIN_POINTS:
+        return 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    mx, my = sx / count, sy / count
+    cxx, cxy, cyy = sxx / count - mx * mx, sxy / count - mx * my, syy / count - my * my
     return count, grid[2] + column * CELL_SIZE + mx, grid[3] + row * CELL_SIZE + my, cxx, cxy, cyy
