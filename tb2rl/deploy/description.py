@@ -1,6 +1,6 @@
 """Describes a policy in plain values: observation, actions, and requirements on a robot."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import product
 from typing import Any
 
@@ -62,19 +62,22 @@ def find_portable_needs(config: Config) -> dict[str, Any]:
         if sensor.name not in SENSORS or not type(sensor).__module__.startswith("tb2rl.sensors."):
             hint = "export a file policy.onnx, and compute the observation yourself"
             raise InputError(f"the folder has no sensor {sensor.name!r}, only tb2rl's own {', '.join(SENSORS)}; {hint}")
-    needs = find_needs(config.scene)
-    if config.task.maps_online:  # another program must map and plan
-        needs = replace(needs, goal="plan")
+    needs = find_needs(config.scene, maps_online=False)  # another program must map and plan
     return {**asdict(needs), "beams": needs.beams.tolist()}
 
 
-def find_needs(scene: Scene) -> Needs:
+def find_needs(scene: Scene, maps_online: bool | None = None) -> Needs:
     """Find the requirements of a policy that was trained in a scene.
 
+    Args:
+        scene: The scene.
+        maps_online: Whether the driver maps and plans online; None: if the task does.
+
     Raises:
-        InputError: If the policy observes what `Driver` lacks, such as the true pose, images or a second plan point.
+        InputError: If the policy observes what `Driver` lacks, such as the true pose, or images.
     """
     task, laser = scene.task, scene.laser
+    maps_online = task.maps_online if maps_online is None else maps_online
     fields, lookaheads = set[str](), set[float]()
     for sensor in scene.sensors:
         if len(sensor.shape) == 3:
@@ -83,16 +86,16 @@ def find_needs(scene: Scene) -> Needs:
         if "pose" in probe.fields and not probe.lookaheads:  # odometry replaces it only for lookahead points
             raise _unavailable_error(sensor, "pose")
         fields, lookaheads = fields | probe.fields, lookaheads | probe.lookaheads
-    if len(lookaheads) > 1:
+    if len(lookaheads) > 1 and not maps_online:
         raise InputError(f"the sensors read {len(lookaheads)} points of a plan, and a driver has only one")
-    has_goal = task.goal_task or task.maps_online or "goal" in fields
-    goal = "plan" if lookaheads and not task.maps_online else "goal" if has_goal else None
+    has_goal = task.goal_task or maps_online or "goal" in fields
+    goal = "plan" if lookaheads and not maps_online else "goal" if has_goal else None
     space: Any = scene.actions.space
     is_discrete = isinstance(space, spaces.Discrete)
     extremes = np.arange(space.n) if is_discrete else np.array([*product(*zip(space.low, space.high, strict=True))])
     max_speed, max_turn_rate = np.abs(scene.actions.commands(extremes)).max(axis=0).tolist()
     limits = laser.min_range, laser.max_range, task.control_period, max_speed, max_turn_rate
-    uses_odometry = bool(fields & _ODOMETRY_FIELDS) or task.maps_online
+    uses_odometry = bool(fields & _ODOMETRY_FIELDS) or maps_online
     radius = getattr(task, "goal_radius", getattr(task, "goal_tolerance", _DEFAULT_GOAL_RADIUS))
     return Needs(laser.angles, *limits, scene.robot.name, uses_odometry, goal, radius, max(lookaheads, default=0.0))
 

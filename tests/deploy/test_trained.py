@@ -9,7 +9,7 @@ import pytest
 from tb2rl import load, make_env
 from tb2rl.core.errors import InputError
 from tb2rl.deploy import Driver, Scan, SensorData, TrainedPolicy
-from tb2rl.deploy.description import describe
+from tb2rl.deploy.description import describe, find_portable_needs
 from tb2rl.deploy.portable.encoding import Encoding
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.config import resolve
@@ -138,3 +138,16 @@ def test_a_new_goal_on_the_way_keeps_the_last_commands(monkeypatch):
         commands = np.array([command] * 3 if number == 2 else [command, *[(0.0, 0.0)] * 2])
         for each in (seen[-1], encoding(sensed)[0]):
             assert each[-6:] == pytest.approx((commands / (0.65, np.pi)).ravel())
+
+
+def test_a_robot_that_plans_on_its_own_map_can_observe_two_points_of_the_plan():
+    observe = ["laser", {"waypoint": {"lookahead": 0.6}}, "waypoint_bearing"]
+    settings = {"task.guide": "plan", "task.observe": observe, "task.map": "online"}
+    config = resolve("random", "navigate", settings=settings)
+    assert TrainedPolicy(make_baseline(config), config).needs.goal == "goal"
+    message = "^the sensors read 2 points of a plan, and a driver has only one$"
+    with pytest.raises(InputError, match=message):
+        find_portable_needs(config)  # another program must plan
+    known = resolve("random", "navigate", settings=settings | {"task.map": "known"})
+    with pytest.raises(InputError, match=message):
+        TrainedPolicy(make_baseline(known), known)
