@@ -9,8 +9,9 @@ from tb2rl.envs.episode_state import EpisodeState
 from tb2rl.envs.scan_matching import MOUNT_YAW, NUM_ERRORS, POINT_UNIT, track
 from tb2rl.simulation import RobotState, SimulationSpec
 from tb2rl.simulation.spec import BOUNDS
+from tb2rl.worlds.fast_marching import march_to
 from tb2rl.worlds.floor import CELL_SIZE
-from tb2rl.worlds.goal_paths import PREFERRED_GAP, lookahead_points, march, path_costs
+from tb2rl.worlds.goal_paths import PREFERRED_GAP, lookahead_points, path_costs
 
 _PLANNING_PERIOD = 6  # [control steps] between two plans, if the map has changed
 _HIT_INCREMENT = 4  # added to the score of the cell where a beam ends; a passing beam subtracts 1
@@ -129,10 +130,10 @@ class OccupancyMapper(EpisodeState):
         costs = path_costs(clearance - _MARGIN, self._radius)
         for cell in ((row, column), (goal_row, goal_column)):
             _free_surroundings(costs, clearance, *cell, self._radius - _NOISE)
-        lengths = march(costs, goal_row, goal_column, CELL_SIZE, (row, column))
+        lengths = march_to(costs, goal_row, goal_column, CELL_SIZE, (row, column))
         if np.isinf(lengths[row, column]):
             arrays["hits"][i] = 0
-            lengths = march(np.ones(self._shape), goal_row, goal_column, CELL_SIZE, (row, column))
+            lengths = march_to(np.ones(self._shape), goal_row, goal_column, CELL_SIZE, (row, column))
         arrays["path_length"][i], arrays["age"][i], arrays["changes"][i] = lengths, 0, 0
 
     def _grid_geometries(self, robot_state: RobotState) -> np.ndarray:

@@ -102,12 +102,18 @@ class RaggedTable:
         """All rows, shape (rows, *row_shape)."""
         return self._memory[: self._used]
 
+    def reserve(self, count: int) -> None:
+        """Make room for so many rows at once, because each growth copies the table."""
+        needed = self._used + count
+        if needed > len(self._memory):
+            larger = np.empty((needed + needed // 2, *self._memory.shape[1:]), dtype=np.float32)  # unused: not resident
+            larger[: self._used] = self.rows
+            self._memory = larger
+
     def add(self, index: int, rows: np.ndarray) -> None:
         """Add the array with this index, below `count`."""
+        self.reserve(len(rows))
         first, self._used = self._used, self._used + len(rows)
-        if self._used > len(self._memory):
-            spare = np.empty((len(rows) + self._used // 2, *rows.shape[1:]), dtype=np.float32)
-            self._memory = np.concatenate([self._memory[:first], spare])
         self._memory[first : self._used] = rows
         self.first_rows[index], self.lengths[index] = first, len(rows)
 
@@ -181,7 +187,7 @@ def limit_to_obstacles(
     _limit_cells(boxes, posts, x, y, columns, rows, clearance)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _limit_cells(boxes, posts, x, y, columns, rows, clearance):
     """Do `limit_to_obstacles` with the range of columns and of rows near each obstacle, each (obstacles, 2)."""
     for k in range(columns.shape[0]):
@@ -204,9 +210,17 @@ def flood(values, passable, step):
         step: Increase of the value from a cell to the next cell.
     """
     rows, columns = values.shape
-    queue = [(i, j) for i in range(rows) for j in range(columns) if np.isfinite(values[i, j])]
-    for i, j in queue:  # the loop also visits the cells that it appends
-        for r, c in ((i, j + 1), (i + 1, j), (i, j - 1), (i - 1, j)):
+    queue, size, head = np.empty((values.size, 2), dtype=np.int64), 0, 0  # an array, because lists of tuples are slow
+    for r in range(rows):
+        for c in range(columns):
+            if np.isfinite(values[r, c]):
+                queue[size, 0], queue[size, 1] = r, c
+                size += 1
+    while head < size:
+        row, column = queue[head, 0], queue[head, 1]
+        head += 1
+        for r, c in ((row, column + 1), (row + 1, column), (row, column - 1), (row - 1, column)):
             if 0 <= r < rows and 0 <= c < columns and passable[r, c] and values[r, c] == np.inf:
-                values[r, c] = values[i, j] + step
-                queue.append((r, c))
+                values[r, c] = values[row, column] + step
+                queue[size, 0], queue[size, 1] = r, c
+                size += 1

@@ -1,18 +1,20 @@
 """Cheapest paths to a goal from anywhere in a world: path lengths and lookahead points.
 
-Path lengths come from fast marching (Sethian 1996, "A fast marching level set method for monotonically advancing
-fronts") on the grid of `tb2rl.worlds.floor`. Unlike a graph search over neighbouring cells, fast marching does not
-prefer the axes of the grid. Cells near a wall have higher costs, so that paths keep a distance from walls where there
-is room. The length of a path is weighted with these costs: near walls, a metre counts as more than a metre.
+Path lengths come from fast marching on the grid of `tb2rl.worlds.floor`. Cells near a wall have higher costs, so that
+paths keep a distance from walls where there is room. The length of a path is weighted with these costs: near walls, a
+metre counts as more than a metre.
 """
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
+import numba
 import numpy as np
 
 from tb2rl.core.compiled import njit
-from tb2rl.worlds.floor import CELL_SIZE, MAX_CELLS, Floor, RaggedTable, flood, nearest_cell
+from tb2rl.worlds.fast_marching import march
+from tb2rl.worlds.floor import CELL_SIZE, MAX_CELLS, Floor, RaggedTable, nearest_cell
 from tb2rl.worlds.world import World
 
 RANDOM_GOALS = 4  # count of random goals in each world, besides the world's own goal
@@ -20,10 +22,8 @@ OWN_GOAL = 0  # number of a world's own goal; the random goals have the numbers 
 PREFERRED_GAP = 0.35  # [m] between robot and walls; cells with a smaller gap cost more
 _DOUBLE_COST_GAP = 0.15  # [m] cells with this gap cost about double; the additional cost grows with 1 / gap^2
 _MAX_COST = 20.0  # of a cell at a wall, so that paths prefer detours; higher costs would distort path directions
-_UNREACHABLE_COST = 3.0  # cost of cells without a path to the goal, which robots enter by rounding errors only
 _FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, passages of 0.4 m and of 0.5 m can get the same costs
 _PATH_STEP = 0.5 * _FINE_CELL  # [m] longer steps along a path would cut corners
-_BEYOND_AIM = 1.0  # [m] how far a march to an aim goes beyond it, so that all neighbours of a path have lengths
 _STRAIGHT_RADIUS = 0.25  # [m] distance from the goal below which paths are straight
 _GOAL_CLEARANCE = 0.3  # [m] clearance of random goals, if any reachable cell has it
 
@@ -32,7 +32,8 @@ class GoalPaths:
     """Paths of a robot with a radius [m] to the goals of many worlds.
 
     A goal is identified by the index of its world and by its number there: `OWN_GOAL`, or 1 to `RANDOM_GOALS`. Random
-    goals are the same in every process. The paths to a goal are computed at its first use.
+    goals are the same in every process. The paths to a goal are computed at its first use, in parallel if there are
+    several worlds.
     """
 
     def __init__(self, worlds: Sequence[World], radius: float) -> None:
@@ -40,7 +41,6 @@ class GoalPaths:
         self._goals = np.full((len(worlds) * (RANDOM_GOALS + 1), 2), np.nan)  # NaN: not used yet, or no own goal
         self._lengths = RaggedTable(len(self._goals))  # path lengths to each goal, from all cells of its world
         self._grids = np.zeros((len(worlds), 5))  # a row for each world, the `grid` of `path_lengths_to`
-        self._prepared: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # results of `_prepare_world`, by world
 
     def goals(self, worlds: np.ndarray, goal_numbers: np.ndarray) -> np.ndarray:
         """X and y of goals [m], shape (num_envs, 2), by worlds and goal numbers of shape (num_envs,)."""
@@ -73,29 +73,53 @@ class GoalPaths:
         indices = worlds * (RANDOM_GOALS + 1) + goal_numbers
         is_missing = self._lengths.first_rows[indices] < 0
         if is_missing.any():  # `unique` is slow, and this runs in every step
-            for index in np.unique(indices[is_missing]).tolist():
-                self._compute_paths(index, *divmod(index, RANDOM_GOALS + 1))
+            self._compute_paths(np.unique(indices[is_missing]))
         return indices
 
-    def _compute_paths(self, index: int, world: int, number: int) -> None:
-        if world not in self._prepared:
-            self._prepared[world] = self._prepare_world(world)
-        (costs, goal_cells), own_goal = self._prepared[world], self._worlds[world].goal
-        if number != OWN_GOAL:
-            self._goals[index] = goal_cells[np.random.default_rng((world, number)).integers(len(goal_cells))]
-        elif own_goal is not None:
-            self._goals[index] = own_goal[:2]
-        self._lengths.add(index, path_lengths_to(self._goals[index], costs, self._grids[world]).ravel())
+    def _compute_paths(self, indices: np.ndarray) -> None:
+        """Compute the paths to the goals with these indices, in ascending order."""
+        worlds, first_goals = np.unique(indices // (RANDOM_GOALS + 1), return_index=True)
+        goals_by_world = np.split(indices, first_goals[1:])
+        self._lengths.reserve(sum(_grid_size(self._worlds[i // (RANDOM_GOALS + 1)])[1] for i in indices.tolist()))
+        with ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS) as threads:
+            results = threads.map(self._paths_in_world, worlds.tolist(), goals_by_world)
+            for goals, lengths in zip(goals_by_world, results, strict=True):
+                for index, lengths_to_goal in zip(goals, lengths, strict=True):
+                    self._lengths.add(index, lengths_to_goal)
 
-    def _prepare_world(self, world: int) -> tuple[np.ndarray, np.ndarray]:
-        """Set the row of a world in `_grids`; return its path costs, and x, y of the cells for random goals [m]."""
-        x0, y0, x1, y1 = self._worlds[world].bounds
-        cell_side = _FINE_CELL if (x1 - x0) * (y1 - y0) <= MAX_CELLS * _FINE_CELL**2 else CELL_SIZE
+    def _paths_in_world(self, world: int, indices: np.ndarray) -> list[np.ndarray]:
+        """Path lengths to goals of one world; writes only rows of this world, because it runs in threads.
+
+        The costs are not kept, because those of many large worlds would take gigabytes.
+        """
+        cell_side, _ = _grid_size(self._worlds[world])
         floor = Floor.of(self._worlds[world], self._radius + PREFERRED_GAP, cell_side)
         self._grids[world] = *floor.clearance.shape, *floor.first_centre, cell_side
-        reachable = np.isfinite(floor.steps_from(*self._worlds[world].start[:2], self._radius))
+        self._find_goals(world, indices, floor)
+        costs = path_costs(floor.clearance, self._radius)
+        return [path_lengths_to(self._goals[index], costs, self._grids[world]).ravel() for index in indices]
+
+    def _find_goals(self, world: int, indices: np.ndarray, floor: Floor) -> None:
+        """Set the goals with these indices, and all random goals of the world if any is among them."""
+        first, own_goal, start = world * (RANDOM_GOALS + 1), self._worlds[world].goal, self._worlds[world].start
+        if own_goal is not None:
+            self._goals[first + OWN_GOAL] = own_goal[:2]
+        if indices[-1] == first + OWN_GOAL or not np.isnan(self._goals[first + RANDOM_GOALS, 0]):
+            return
+        reachable = np.isfinite(floor.steps_from(*start[:2], self._radius))
         has_room = reachable & (floor.clearance >= _GOAL_CLEARANCE)
-        return path_costs(floor.clearance, self._radius), floor.centres(has_room if has_room.any() else reachable)
+        cells = np.flatnonzero(has_room if has_room.any() else reachable)
+        for number in range(1, RANDOM_GOALS + 1):
+            cell = cells[np.random.default_rng((world, number)).integers(len(cells))]
+            self._goals[first + number] = floor.centre(*divmod(cell, reachable.shape[1]))
+
+
+def _grid_size(world: World) -> tuple[float, int]:
+    """Side of a cell [m], and about the number of cells, for the paths in a world."""
+    x0, y0, x1, y1 = world.bounds
+    area = (x1 - x0) * (y1 - y0)
+    cell_side = _FINE_CELL if area <= MAX_CELLS * _FINE_CELL**2 else CELL_SIZE
+    return cell_side, int(min(area / cell_side**2, MAX_CELLS))  # `Floor.of` refuses more
 
 
 def path_lengths_to(goal: np.ndarray, costs: np.ndarray, grid: np.ndarray) -> np.ndarray:
@@ -133,87 +157,6 @@ def shortest_path_length(world: World, radius: float) -> float:
     if math.isinf(floor.steps_from(*world.start[:2], radius)[goal]):
         return math.inf
     return float(march(np.where(floor.clearance >= radius, 1.0, 0.0), *goal, CELL_SIZE)[start])
-
-
-@njit(cache=True, nogil=True)
-def march(costs, row, column, cell_side, aim=(-1, -1)):
-    """Path length from all cells to the cell `row`, `column` [m], shape (rows, columns), float32.
-
-    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance, even if a
-    cell farther away has a shorter path, because that cell may be behind a thin wall.
-
-    Args:
-        costs: See `path_costs`, shape (rows, columns).
-        row, column: Cell of the goal.
-        cell_side: Side of a cell [m].
-        aim: Row and column of a cell. The march then prefers cells in its direction, as A* does, and ends when it has
-            passed this cell; cells that it did not reach get inf. (-1, -1): all cells.
-    """
-    rows, columns = costs.shape
-    width = columns + 2  # with a frame of blocked cells, so that every cell has four neighbours
-    framed = np.zeros((rows + 2, width))
-    framed[1:-1, 1:-1] = cell_side * costs
-    steps, lengths = framed.ravel(), np.full((rows + 2) * width, np.inf)
-    goal, has_aim, limit = (row + 1) * width + column + 1, aim[0] >= 0, np.inf
-    is_done = np.zeros(lengths.size, dtype=np.bool_)
-    lengths[goal] = 0.0
-    keys, cells = np.empty(4 * lengths.size), np.empty(4 * lengths.size, dtype=np.int64)  # a heap, by path length
-    size = _push(keys, cells, 0, 0.0, goal)
-    while size:
-        key, cell = keys[0], cells[0]
-        size = _pop(keys, cells, size)
-        if key > limit:
-            break
-        if is_done[cell]:
-            continue  # a shorter path has been found since
-        is_done[cell] = True
-        if cell == (aim[0] + 1) * width + aim[1] + 1:
-            limit = key + _BEYOND_AIM
-        for neighbour in (cell + 1, cell + width, cell - 1, cell - width):
-            step = steps[neighbour]
-            if step == 0.0 or is_done[neighbour]:
-                continue
-            in_row = min(lengths[neighbour - 1], lengths[neighbour + 1])
-            in_column = min(lengths[neighbour - width], lengths[neighbour + width])
-            length = min(in_row, in_column) + step
-            if abs(in_row - in_column) < step:
-                length = 0.5 * (in_row + in_column + math.sqrt(2.0 * step * step - (in_row - in_column) ** 2))
-            if length < lengths[neighbour]:
-                lengths[neighbour] = length
-                if has_aim:
-                    length += cell_side * math.hypot(neighbour // width - 1 - aim[0], neighbour % width - 1 - aim[1])
-                size = _push(keys, cells, size, length, neighbour)
-    result = lengths.reshape((rows + 2, width))[1:-1, 1:-1].copy()
-    if not has_aim:
-        flood(result, np.ones((rows, columns), dtype=np.bool_), _UNREACHABLE_COST * cell_side)
-    return result.astype(np.float32)
-
-
-@njit(cache=True, nogil=True)
-def _push(keys, cells, size, key, cell):
-    """Push a cell on a binary heap of `size` entries and return the new size; faster than `heapq` in numba."""
-    position = size
-    while position > 0 and keys[(position - 1) // 2] > key:
-        keys[position], cells[position] = keys[(position - 1) // 2], cells[(position - 1) // 2]
-        position = (position - 1) // 2
-    keys[position], cells[position] = key, cell
-    return size + 1
-
-
-@njit(cache=True, nogil=True)
-def _pop(keys, cells, size):
-    """Remove the cell with the least key from the heap and return the new size."""
-    size -= 1
-    key, cell, position, child = keys[size], cells[size], 0, 1
-    while child < size:
-        if child + 1 < size and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[position], cells[position] = keys[child], cells[child]
-        position, child = child, 2 * child + 1
-    keys[position], cells[position] = key, cell
-    return size
 
 
 @njit(cache=True)

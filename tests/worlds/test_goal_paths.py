@@ -1,10 +1,13 @@
 """Paths to goals: their lengths, their distance from walls, and the lookahead points along them."""
 
 import math
+import pickle
 
+import numba
 import numpy as np
 import pytest
 
+from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
 from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate
@@ -68,6 +71,37 @@ def test_random_goals_can_be_reached_and_do_not_depend_on_other_environments():
         alone, row = GoalPaths(MIXED, ROBOT.radius), slice(i, i + 1)
         assert (alone.goals(worlds[row], numbers[row]) == goals[i]).all()
         assert alone.path_length(worlds[row], numbers[row], starts[row]) == lengths[i]
+
+
+def test_paths_depend_neither_on_the_count_of_threads_nor_on_other_goals(monkeypatch):
+    worlds, numbers = np.repeat(np.arange(10), RANDOM_GOALS + 1), np.tile(np.arange(RANDOM_GOALS + 1), 10)
+    starts = np.array([MIXED[i].start[:2] for i in worlds])
+    lengths, goals = [], []
+    for threads, order in ((1, np.arange(50)), (4, np.arange(50)), (4, np.arange(50)[::-1])):
+        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
+        paths = GoalPaths(MIXED, ROBOT.radius)
+        for some in np.split(order, [1, 17, 18]):
+            paths.path_length(worlds[some], numbers[some], starts[some])
+        lengths.append(paths.path_length(worlds, numbers, starts))
+        goals.append(paths.goals(worlds, numbers))
+    assert (lengths[0] == lengths[1:]).all()
+    np.testing.assert_array_equal(goals[0], goals[1])
+    np.testing.assert_array_equal(goals[0], goals[2])
+
+
+def test_an_error_in_a_thread_is_raised_and_other_worlds_have_paths():
+    too_large = World.from_shapes("large", start=(1.0, 1.0, 0.0), goal=(2.0, 1.0, 0.0), bounds=(0.0, 0.0, 1e4, 1e4))
+    paths, goals = GoalPaths([OPEN, too_large, WALL], ROBOT.radius), np.full(3, OWN_GOAL)
+    with pytest.raises(InputError, match="world large"):
+        paths.goals(np.arange(3), goals)
+    np.testing.assert_array_equal(paths.goals(np.array([0, 2]), goals[:2]), [OPEN.goal[:2], WALL.goal[:2]])
+
+
+def test_only_path_lengths_are_kept():
+    paths, places = GoalPaths(MIXED, ROBOT.radius), np.zeros((10, 2))
+    paths.path_length(np.arange(10), np.ones(10, dtype=int), places)
+    cells = 10 * round(8.0 / 0.05) ** 2
+    assert len(pickle.dumps(paths)) < 8 * cells, "the costs of the cells alone would take as much"
 
 
 def test_lengths_are_finite_without_a_path_and_random_goals_without_an_own_one():
