@@ -12,9 +12,9 @@ from tb2rl import benchmark
 from tb2rl.commands import benchmark as work
 from tb2rl.commands.benchmark import PARTS
 from tb2rl.core.processes import processors
+from tb2rl.core.threads import THREADS
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.simulation import InitialState, bullet
-from tb2rl.simulation.arrays.threads import THREADS
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 
 

@@ -73,12 +73,16 @@ class BoxEncoding:
         self._sensors, self.space = sensors, SensorBox(sensors)
 
     def __call__(self, robot_state: RobotState) -> np.ndarray:
-        values = [sensor.read(robot_state) for sensor in self._sensors]
-        joined = values[0] if len(values) == 1 else np.column_stack(values)
-        if joined.shape[1:] != self.space.shape:  # compiled code does not check shapes
-            raise InputError(f"the sensors read numbers of shape {joined.shape[1:]}, not {self.space.shape}")
-        numbers = np.empty(joined.shape, np.float32)
-        _clip(joined, self.space.low, self.space.high, numbers)
+        values = [np.asarray(sensor.read(robot_state), dtype=float) for sensor in self._sensors]
+        values = [array if array.ndim == 2 else array[:, None] for array in values]
+        num_envs, shape = len(values[0]), (sum(array.shape[1] for array in values),)
+        if shape != self.space.shape or any(len(array) != num_envs for array in values):  # compiled code does not check
+            shapes = ", ".join(str(array.shape) for array in values)
+            raise InputError(f"the sensors read numbers of shapes {shapes}, which do not make up {self.space.shape}")
+        numbers, column = np.empty((num_envs, *shape), np.float32), 0
+        for array in values:  # not joined before, because copies of all ranges take longer than the limits
+            _clip(array, self.space.low, self.space.high, column, numbers)
+            column += array.shape[1]
         return numbers
 
 
@@ -181,11 +185,17 @@ def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> n
 
 
 @njit(cache=True)
-def _clip(values, low, high, numbers):
-    """Clip `values` (num_envs, n) to `low` and `high` (n,), and write them to `numbers` (num_envs, n), float32."""
+def _clip(values, low, high, first, numbers):
+    """Clip `values` (num_envs, n), and write them to the columns from `first` on of `numbers`, float32.
+
+    `low` and `high` have the limits of all columns of `numbers`.
+    """
+    end = first + values.shape[1]
+    lowest, highest = low[first:end], high[first:end]
     for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            numbers[i, j] = max(min(np.float32(values[i, j]), high[j]), low[j])  # in float32 it takes 20 % less time
+        row = numbers[i][first:end]  # contiguous for the compiler, which `numbers[i, first:end]` is not
+        for j in range(row.size):
+            row[j] = max(min(np.float32(values[i, j]), highest[j]), lowest[j])  # in float32 it takes 20 % less time
 
 
 @njit(cache=True)

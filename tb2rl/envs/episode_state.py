@@ -1,5 +1,6 @@
 """Episode states: histories, and the base class of maps, that last for an episode, besides the latest robot state."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from copy import copy
@@ -8,9 +9,12 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from tb2rl.core.compiled import NO_REFCOUNT, njit
+from tb2rl.core.threads import parallel_if_long
 from tb2rl.simulation import RobotState
 
 _HISTORY_DURATION = 64.0  # [s] time that `PositionHistory` covers
+_POINT_TIME = 0.2e-9  # [s] estimated duration of the comparison of a position with a point
+_ROUNDING = 1e-3  # [m] more than all rounding errors of a distance
 
 
 class EpisodeState(ABC):
@@ -106,20 +110,52 @@ class PositionHistory(EpisodeState):
         self._arrays["positions"][envs, oldest] = robot_state.odometry[envs, :2]
         steps += 1
 
-    def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
-        """Time [s] spent within `radius` [m] of points (num_envs, n, 2), shape (num_envs, n)."""
-        counts = np.empty(points.shape[:2])
-        _count_nearby(self._arrays["positions"], points, radius, counts)
-        return self._interval * counts
+    def seconds_near(self, poses: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
+        """See `tb2rl.simulation.robot_state.PositionHistory`."""
+        seconds = np.empty((len(poses), len(points)))
+        history = self._arrays["positions"], self._arrays["steps"], self._interval_steps, self._interval
+        x, y, yaw = poses.T
+        frames = np.stack([x, y, np.cos(yaw), np.sin(yaw)])
+        item_time = _POINT_TIME * self._num_positions * len(points)
+        parallel_if_long(_sum_nearby, len(poses), item_time, history, frames, points.T.copy(), radius, seconds)
+        return seconds
+
+
+@njit(cache=True, nogil=True)
+def _sum_nearby(first, end, history, frames, points, radius, seconds):
+    """Write the `seconds` (num_envs, n) that robots have spent near points, for the robots `first` to `end` - 1.
+
+    Args:
+        history: Positions (num_envs, num_positions, 2) [m], numbers of steps (num_envs,), and the interval between two
+            positions in control steps and in [s].
+        frames: x, y [m], cosine and sine of the yaw of each robot, shape (4, num_envs).
+        points: x and y in the robot's frame [m], shape (2, n).
+        radius: Largest distance from a point [m].
+    """
+    scratch = np.empty(points.shape)
+    for i in range(first, end):
+        _sum_nearby_one(i, history, frames, points, radius, scratch, seconds)
 
 
 @njit(cache=True, **NO_REFCOUNT)
-def _count_nearby(positions, points, radius, counts):
-    """Count the positions (num_envs, num_positions, 2) within `radius` of each point (num_envs, n, 2)."""
-    for i in range(counts.shape[0]):
-        for point in range(counts.shape[1]):
-            x, y, count = points[i, point, 0], points[i, point, 1], 0
-            for k in range(positions.shape[1]):
-                dx, dy = positions[i, k, 0] - x, positions[i, k, 1] - y
-                count += dx * dx + dy * dy < radius * radius
-            counts[i, point] = count
+def _sum_nearby_one(i, history, frames, points, radius, scratch, seconds):
+    """Do `_sum_nearby` for robot `i`; `scratch` has the shape of `points`."""
+    positions, steps, interval_steps, interval = history
+    robot_x, robot_y, cos, sin = frames[0, i], frames[1, i], frames[2, i], frames[3, i]
+    reach = 0.0
+    for point in range(points.shape[1]):
+        ahead, left = points[0, point], points[1, point]
+        scratch[0, point] = robot_x + cos * ahead - sin * left
+        scratch[1, point] = robot_y + sin * ahead + cos * left
+        seconds[i, point] = 0.0
+        reach = max(reach, ahead * ahead + left * left)
+    reach = math.sqrt(reach) + radius + _ROUNDING
+    for k in range(min((steps[i] + interval_steps - 1) // interval_steps, positions.shape[1])):
+        x, y = positions[i, k, 0], positions[i, k, 1]
+        if (x - robot_x) * (x - robot_x) + (y - robot_y) * (y - robot_y) > reach * reach:
+            continue  # near no point
+        for point in range(points.shape[1]):  # the inner loop, because its data is contiguous
+            dx, dy = x - scratch[0, point], y - scratch[1, point]
+            seconds[i, point] += 1.0 if dx * dx + dy * dy < radius * radius else 0.0
+    for point in range(points.shape[1]):
+        seconds[i, point] *= interval

@@ -11,7 +11,8 @@ from tb2rl.simulation import RobotState, SimulationSpec
 from tb2rl.simulation.spec import BOUNDS
 from tb2rl.worlds.fast_marching import march_to
 from tb2rl.worlds.floor import CELL_SIZE
-from tb2rl.worlds.goal_paths import PREFERRED_GAP, lookahead_points, path_costs
+from tb2rl.worlds.goal_paths import PREFERRED_GAP, path_costs
+from tb2rl.worlds.lookahead import lookahead_points
 
 _PLANNING_PERIOD = 6  # [control steps] between two plans, if the map has changed
 _HIT_INCREMENT = 4  # added to the score of the cell where a beam ends; a passing beam subtracts 1
@@ -89,10 +90,10 @@ class OccupancyMapper(EpisodeState):
 
     def lookahead_point(self, robot_state: RobotState, lookahead: float) -> np.ndarray:
         """See `RobotState.lookahead_point`."""
-        points, lengths = np.empty((len(robot_state.pose), 2)), self._arrays["path_length"]
+        lengths = self._arrays["path_length"]
         offsets = np.arange(len(lengths)) * math.prod(self._shape)  # first cell of each grid in the flat array
         poses, grids = self._arrays["pose"], self._grid_geometries(robot_state)
-        lookahead_points(offsets, grids, lengths.ravel(), poses, self._goals(robot_state), lookahead, points)
+        points = lookahead_points(offsets, grids, lengths.ravel(), poses, self._goals(robot_state), lookahead)
         points = np.where(self._arrays["standing"][:, None] < 0, self._arrays["escape"], points)
         yaw = poses[:, 2] - self._mount_yaw
         return robot_state.pose[:, :2] + _rotate(points - poses[:, :2], robot_state.pose[:, 2] - yaw)

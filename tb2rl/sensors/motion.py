@@ -141,7 +141,4 @@ class Visited(Sensor):
     def read(self, robot_state: RobotState) -> np.ndarray:
         if robot_state.position_history is None:
             return np.zeros((len(robot_state.odometry), *self.shape))
-        (x, y, yaw), (ahead, left) = robot_state.odometry.T[:, :, None], self.around.T
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        points = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
-        return robot_state.position_history.seconds_near(points, self.near)
+        return robot_state.position_history.seconds_near(robot_state.odometry, self.around, self.near)

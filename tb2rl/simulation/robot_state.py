@@ -30,8 +30,14 @@ class OccupancyMap(Protocol):
 class PositionHistory(Protocol):
     """Recent positions of the robots, by odometry."""
 
-    def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
-        """Time [s] that each robot spent within `radius` [m] of its points (num_envs, n, 2), shape (num_envs, n)."""
+    def seconds_near(self, poses: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
+        """Time that each robot spent near points [s], shape (num_envs, n).
+
+        Args:
+            poses: Poses of the robots by odometry, x [m], y [m], yaw [rad], shape (num_envs, 3).
+            points: x ahead and y to the left of each robot [m], shape (n, 2).
+            radius: Largest distance from a point at which time is counted [m].
+        """
 
 
 class CommandHistory(Protocol):

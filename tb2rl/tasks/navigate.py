@@ -118,7 +118,8 @@ class Navigate(Task):
             gap = after.nearest_range - after.initial_state.records["radius"]
             penalty = penalty + self.margin_reward * np.clip(self.margin - gap, 0.0, self.margin) / self.margin
         moving_reward = self.progress_reward * progress + self.step_reward + penalty
-        reward = np.select([collided, reached], [self.collision_reward, self.goal_reward], moving_reward)
+        reward = np.where(reached, self.goal_reward, moving_reward)
+        reward = np.where(collided, self.collision_reward, reward)
         return Outcome(reward, failed=collision_endings(collided, after), succeeded={"goal": reached})
 
     def _collided(self, before: RobotState, after: RobotState) -> np.ndarray:

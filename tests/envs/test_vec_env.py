@@ -20,10 +20,10 @@ def test_results_do_not_depend_on_the_number_of_threads(monkeypatch, start_vec_e
             observations, *_ = env.step((observations[:, 0] * 100).astype(int) % 3)
         return observations
 
-    monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.MIN_PARALLEL_TIME", 0.0)
-    monkeypatch.setattr("tb2rl.simulation.arrays.threads.THREADS", 1)
+    monkeypatch.setattr("tb2rl.core.threads.MIN_PARALLEL_TIME", 0.0)
+    monkeypatch.setattr("tb2rl.core.threads.THREADS", 1)
     alone = run()
-    monkeypatch.setattr("tb2rl.simulation.arrays.threads.THREADS", 3)
+    monkeypatch.setattr("tb2rl.core.threads.THREADS", 3)
     np.testing.assert_array_equal(run(), alone)
 
 

@@ -31,10 +31,10 @@ def test_equal_seeds_give_equal_tables_whatever_the_number_of_processes(small, t
 
 def test_the_number_of_threads_changes_no_result(small, assert_same_runs, tmp_path, monkeypatch):
     config = small("ppo", settings={"agent.n_steps": 5, "agent.batch_size": 500}, n_envs=600, total_timesteps=3000)
-    monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.MIN_PARALLEL_TIME", 0.0)
+    monkeypatch.setattr("tb2rl.core.threads.MIN_PARALLEL_TIME", 0.0)
     runs = []
     for threads in (1, 3):
-        monkeypatch.setattr("tb2rl.simulation.arrays.threads.THREADS", threads)
+        monkeypatch.setattr("tb2rl.core.threads.THREADS", threads)
         runs.append(train_config(config, tmp_path / str(threads)).run)
     assert_same_runs(*runs)
 

@@ -9,9 +9,9 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import njit
+from tb2rl.core.threads import parallel_if_long
 from tb2rl.simulation.arrays.robots import ROBOT, RobotArrays
 from tb2rl.simulation.arrays.simulator import ArraySimulator
-from tb2rl.simulation.arrays.threads import parallel_for
 from tb2rl.simulation.kinematic.motion import step_block
 from tb2rl.simulation.obstacles.outlines import cast_at_outlines
 from tb2rl.simulation.robot_state import RobotState
@@ -21,8 +21,6 @@ from tb2rl.worlds.world import WALL_HEIGHT
 
 # Estimated duration [s] of a step in one thread: for each robot, for each of its beams, for each dynamic obstacle.
 _ROBOT_TIME, _BEAM_TIME, _OBSTACLE_TIME = 0.25e-6, 4e-9, 2e-6
-_THREAD_DELAY = 0.06e-3  # [s] from handing work to a sleeping thread until the thread starts
-MIN_PARALLEL_TIME = 0.25e-3  # [s] shorter steps run in one thread, because waking the others costs 0.1 ms or more
 
 
 class KinematicSimulator(ArraySimulator):
@@ -37,11 +35,7 @@ class KinematicSimulator(ArraySimulator):
         robots = RobotArrays(self._initial_state.records, np.empty(self.num_envs, ROBOT), np.empty(self._ranges.shape))
         commands = np.ascontiguousarray(commands, dtype=float)
         arguments = self._constants, self._records, robots, commands, duration, self._obstacles.arrays
-        if self.num_envs * self._robot_time > MIN_PARALLEL_TIME:
-            head_start = int(_THREAD_DELAY / self._robot_time)  # robots that this thread steps while the others wake up
-            parallel_for(step_block, self.num_envs, head_start, *arguments)
-        else:
-            step_block(0, self.num_envs, *arguments)
+        parallel_if_long(step_block, self.num_envs, self._robot_time, *arguments)
         return robots
 
     def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[None, np.ndarray]:

@@ -10,9 +10,9 @@ import numpy as np
 from mujoco import mj_step
 
 from tb2rl.core.errors import InputError
+from tb2rl.core.threads import parallel_for
 from tb2rl.simulation.arrays.robots import ROBOT, RobotArrays
 from tb2rl.simulation.arrays.simulator import ArraySimulator
-from tb2rl.simulation.arrays.threads import parallel_for
 from tb2rl.simulation.mujoco.bodies import Models, RobotBody
 from tb2rl.simulation.mujoco.camera import CameraRenderer
 from tb2rl.simulation.mujoco.models import FINE_STEPS, check_robot, make_model, set_time_step

@@ -7,8 +7,8 @@ import numba
 import numpy as np
 import pytest
 
-from tb2rl.simulation.arrays import threads
-from tb2rl.simulation.arrays.threads import parallel_for
+from tb2rl.core import threads
+from tb2rl.core.threads import MIN_PARALLEL_TIME, parallel_for, parallel_if_long
 
 
 @pytest.mark.parametrize(("count", "number", "lead"), [(1, 5, 0), (10, 1, 7), (1001, 5, 7), (1001, 2, 5000)])
@@ -21,6 +21,15 @@ def test_every_part_is_done_once(count, number, lead, monkeypatch):
 
     parallel_for(work, count, lead, 3)
     assert (done == 3).all()
+
+
+def test_only_long_work_is_divided(monkeypatch):
+    monkeypatch.setattr(threads, "THREADS", 3)
+    for item_time, number in ((0.9 * MIN_PARALLEL_TIME / 1000, 1), (1.1 * MIN_PARALLEL_TIME / 1000, 3)):
+        parts = []
+        parallel_if_long(lambda first, end, parts: parts.append((first, end)), 1000, item_time, parts)
+        assert len(parts) == number
+        assert sum(end - first for first, end in parts) == 1000
 
 
 def test_an_error_in_any_part_is_raised(monkeypatch):

@@ -16,6 +16,24 @@ import numba
 
 # Number of threads: the environment variable NUMBA_NUM_THREADS, or by default the processors of this process.
 THREADS: int = numba.config.NUMBA_NUM_THREADS
+MIN_PARALLEL_TIME = 0.25e-3  # [s] shorter work runs in one thread, because waking the others costs 0.1 ms or more
+_THREAD_DELAY = 0.06e-3  # [s] from handing work to a sleeping thread until the thread starts
+
+
+def parallel_if_long(work: Callable[..., Any], count: int, item_time: float, *arguments: Any) -> None:
+    """Do the work on `count` items as `parallel_for` does, or in the calling thread alone if it is short.
+
+    Args:
+        work: Function that does the items from `first` to `end` - 1, called as `work(first, end, *arguments)`.
+        count: Number of items, such as robots.
+        item_time: Estimated duration of an item in one thread [s].
+        arguments: Other arguments of `work`.
+    """
+    if count * item_time > MIN_PARALLEL_TIME:
+        head_start = int(_THREAD_DELAY / item_time)  # items that this thread does while the others wake up
+        parallel_for(work, count, head_start, *arguments)
+    else:
+        work(0, count, *arguments)
 
 
 def parallel_for(work: Callable[..., Any], count: int, lead: int, *arguments: Any) -> None:
