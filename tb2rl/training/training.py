@@ -31,6 +31,7 @@ from tb2rl.tasks import Task
 from tb2rl.training import state
 from tb2rl.training.callbacks import TrainingCallbacks
 from tb2rl.training.error_translation import translate_learning_errors, translate_resource_errors
+from tb2rl.training.parallel_networks import parallelize_networks
 from tb2rl.training.statistics import TensorBoard
 from tb2rl.training.trackers import TrackedRun, Tracker, attach_trackers, find_trackers, run_name
 
@@ -128,6 +129,7 @@ def train_config(
         env = TurtleBot2VecEnv(scene, settings.n_envs, settings.reward_scale, simulator)
         resources.callback(env.close)
         algorithm = make_algorithm(config, env)
+        parallelize_networks(algorithm)
         evaluator = make_evaluator(config.scene.for_purpose("validation"), settings) if settings.eval_freq else None
         resources.enter_context(evaluator or nullcontext())
         run = Run(folder, config) if checkpoint else Run.create(folder, config)
