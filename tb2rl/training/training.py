@@ -115,6 +115,7 @@ def train_config(
         checkpoint: Content of the checkpoint to resume from; None: a new training.
         watchers: Further callbacks, which have no state to resume, such as the viewer of the training.
     """
+    config = replace(config, train=config.train.with_thread_count())
     folder, settings = Path(folder), config.train
     check_trainable(config)
     check_device(settings.device)
@@ -122,7 +123,7 @@ def train_config(
     trackers = find_trackers(settings.track, untrusted_folder=folder if checkpoint else None)
     with translate_resource_errors(folder), ExitStack() as resources:
         resources.callback(th.set_num_threads, th.get_num_threads())  # restored because the setting is global
-        th.set_num_threads(settings.torch_threads)
+        th.set_num_threads(int(settings.torch_threads))
         scene = config.scene.with_time_limit(settings.episode_steps) if settings.episode_steps else config.scene
         simulator = find_simulator(settings.simulation)
         simulator.check(purpose=f"a training in simulation {settings.simulation!r}")

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from tb2rl.training import parallel_networks, training
-from tb2rl.training.training import train_config
+from tb2rl.training.training import resume, train_config
 
 SETTINGS = {"agent.n_steps": 8, "agent.batch_size": 128, "agent.n_epochs": 2}
 
@@ -36,3 +36,16 @@ def test_networks_learn_the_same_at_the_same_time(agent, in_parallel, small, ass
     assert len(in_parallel) == 2
     monkeypatch.setattr(training, "parallelize_networks", lambda algorithm: None)
     assert_same_runs(parallel, train_config(config, tmp_path / "alone").run)
+
+
+def test_equal_threads_give_equal_runs_also_after_a_resume(
+    in_parallel, small, killed, assert_same_runs, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("tb2rl.runs.config.processors", lambda: 4)
+    train = {"n_envs": 64, "total_timesteps": 2048, "save_freq": 1024, "torch_threads": "auto"}
+    one, other = (train_config(small("ppo", settings=SETTINGS, **train), tmp_path / name).run for name in "ab")
+    assert_same_runs(one, other)
+    resumed = killed(one, tmp_path / "killed")
+    assert resumed.config.train.torch_threads == 2, "half the processors, as a number"
+    monkeypatch.setattr("tb2rl.runs.config.processors", lambda: 1)
+    assert_same_runs(one, resume(resumed.folder).run)
