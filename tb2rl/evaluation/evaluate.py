@@ -27,6 +27,7 @@ from tb2rl.evaluation.progress import progress
 from tb2rl.execution.executor import Executor
 from tb2rl.execution.local import LocalExecutor
 from tb2rl.runs import Config, config_of, load
+from tb2rl.runs.algorithm import torch_settings
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.random_streams import GeneratorSource
 from tb2rl.simulation.simulator import default_simulator, find_simulator
@@ -192,15 +193,11 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         starts = [self._episode_start(number) for number in numbers]
         ended = run_episodes(self._loops[num_slots], policy, starts, clearance_from_laser=self.simulator.is_external)
         finished: dict[int, Episode] = {}  # by number; episodes may end in another order
-        threads = th.get_num_threads()
-        th.set_num_threads(1)  # because the networks are small, and more threads only wait for each other
-        try:
+        with torch_settings(num_threads=1):  # the networks are small, and more threads only wait for each other
             for number in numbers:
                 while number not in finished:
                     finished.update([next(ended)])
                 yield finished.pop(number)
-        finally:
-            th.set_num_threads(threads)
 
     def replay(self, policy: Policy, number: int) -> list[EpisodeStep]:
         """Run one episode in this process, and return its control steps; it is the same episode as in `run`."""

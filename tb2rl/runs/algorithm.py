@@ -5,7 +5,8 @@ normalizes observations itself, with the statistics of its checkpoint.
 """
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from copy import copy
 from functools import partial
 from typing import Any
@@ -86,6 +87,19 @@ def check_device(name: str) -> None:
     """Raise an `InputError` if torch does not find a device."""
     if not _has_device(name):
         raise InputError(f"train.device is {name!r}, but torch finds no such device; take cpu or auto")
+
+
+@contextmanager
+def torch_settings(num_threads: int, matmul_precision: str = "highest") -> Iterator[None]:
+    """Set torch's threads and precision during the block; both are global."""
+    threads, precision = th.get_num_threads(), th.get_float32_matmul_precision()
+    th.set_num_threads(num_threads)
+    th.set_float32_matmul_precision(matmul_precision)
+    try:
+        yield
+    finally:
+        th.set_num_threads(threads)
+        th.set_float32_matmul_precision(precision)
 
 
 def _has_device(name: str) -> bool:

@@ -48,6 +48,7 @@ SimulatorName = Annotated[str, "name of a simulator", AfterValidator(_checked_si
 Episodes = Annotated[int, Ge(1), Le(100_000)]
 Device = Annotated[str, "cpu, cuda, cuda:N, mps or auto", Field(pattern=r"^(auto|cpu|mps|cuda(:\d{1,2})?)$")]
 TorchThreads = Annotated[Annotated[int, Ge(1), Le(256)] | Literal["auto"], "int 1 to 256, or auto"]
+MatmulPrecision = Literal["highest", "high", "medium"]
 _MAX_AUTO_THREADS = 4  # more would wait for each other, because the networks are small
 
 
@@ -63,6 +64,7 @@ class TrainSettings:
     n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # number of environments; PyBullet divides them among processes
     device: Device = "cpu"  # device of the networks
     torch_threads: TorchThreads = 1  # threads of torch, for each network; auto: half the processors, 1 to 4
+    matmul_precision: MatmulPrecision = "highest"  # medium: bfloat16 if the processor has it; evaluations: highest
     reward_scale: Annotated[float, Gt(0), Le(1e6)] = 1.0  # factor for rewards in training; logs are unscaled
     norm_obs: bool = False  # normalise observations by running mean and standard deviation (SB3's VecNormalize)
     norm_reward: bool = False  # normalise rewards by the standard deviation of returns, which cancels reward_scale

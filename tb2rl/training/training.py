@@ -13,7 +13,6 @@ from textwrap import shorten
 from types import MappingProxyType
 from typing import Any
 
-import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -24,7 +23,7 @@ from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.evaluation.evaluate import VALIDATION_SEED, Evaluator, random_initial_states
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.runs import Config, Run, TrainSettings, flatten, read_checkpoint, resolve
-from tb2rl.runs.algorithm import check_device, check_trainable, make_algorithm
+from tb2rl.runs.algorithm import check_device, check_trainable, make_algorithm, torch_settings
 from tb2rl.runs.loading import checkpoint_config, load, load_parameters
 from tb2rl.simulation.simulator import default_simulator, find_simulator
 from tb2rl.tasks import Task
@@ -122,8 +121,7 @@ def train_config(
     # The config of a checkpoint may be a stranger's, and must not import modules from its folder.
     trackers = find_trackers(settings.track, untrusted_folder=folder if checkpoint else None)
     with translate_resource_errors(folder), ExitStack() as resources:
-        resources.callback(th.set_num_threads, th.get_num_threads())  # restored because the setting is global
-        th.set_num_threads(int(settings.torch_threads))
+        resources.enter_context(torch_settings(int(settings.torch_threads), settings.matmul_precision))
         scene = config.scene.with_time_limit(settings.episode_steps) if settings.episode_steps else config.scene
         simulator = find_simulator(settings.simulation)
         simulator.check(purpose=f"a training in simulation {settings.simulation!r}")

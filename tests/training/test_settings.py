@@ -8,6 +8,7 @@ import torch as th
 
 from tb2rl import load
 from tb2rl.core.errors import InputError
+from tb2rl.evaluation import evaluate
 from tb2rl.runs.algorithm import make_algorithm
 from tb2rl.runs.folder import Run
 from tb2rl.training import training
@@ -63,12 +64,29 @@ def test_a_training_may_have_its_own_time_limit(small, tmp_path):
     assert load(tmp_path / "run").trained_with.task.episode_steps > 4
 
 
-def test_torchs_threads_are_restored_after_a_training_that_failed(small, tmp_path, monkeypatch):
-    during, before = [], th.get_num_threads()
-    monkeypatch.setattr(training, "make_algorithm", lambda *_: during.append(th.get_num_threads()) or 1 / 0)
+def torchs_settings() -> tuple[int, str]:
+    return th.get_num_threads(), th.get_float32_matmul_precision()
+
+
+def test_torchs_settings_are_restored_after_a_training_that_failed(small, tmp_path, monkeypatch):
+    during, before = [], torchs_settings()
+    monkeypatch.setattr(training, "make_algorithm", lambda *_: during.append(torchs_settings()) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        train_config(small(torch_threads=before + 1), tmp_path / "run")
-    assert (during, th.get_num_threads()) == ([before + 1], before)
+        train_config(small(torch_threads=before[0] + 1, matmul_precision="medium"), tmp_path / "run")
+    assert (during, torchs_settings()) == ([(before[0] + 1, "medium")], before)
+
+
+def test_evaluations_compute_in_full_precision_whatever_the_training_does(small, tmp_path, monkeypatch):
+    precisions, run_episodes = set(), evaluate.run_episodes
+
+    def noted(*args, **kwargs):
+        for episode in run_episodes(*args, **kwargs):
+            precisions.add(th.get_float32_matmul_precision())
+            yield episode
+
+    monkeypatch.setattr(evaluate, "run_episodes", noted)
+    train_config(small(matmul_precision="medium", eval_freq=64, eval_episodes=2, eval_steps=5), tmp_path / "run")
+    assert precisions == {"highest"}
 
 
 @pytest.mark.parametrize("device", ["cuda:99", "mps"])
