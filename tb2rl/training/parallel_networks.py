@@ -11,15 +11,17 @@ import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.torch_layers import MlpExtractor
 
+from tb2rl.core.processes import processors
 from tb2rl.simulation.arrays.threads import parallel_for
 
 _MIN_MULTIPLICATIONS = 4_000_000  # of a network for all observations, about 50 us; a thread needs as long to wake up
 
 
 def parallelize_networks(algorithm: BaseAlgorithm) -> None:
-    """Let the actor and the critic of an algorithm run at the same time, if it has both."""
+    """Let the actor and the critic of an algorithm run at the same time, if it has both and there are processors."""
     extractor = getattr(algorithm.policy, "mlp_extractor", None)
-    if type(extractor) is MlpExtractor:
+    # torch's threads spin while they wait, so more threads than processors would take several times as long.
+    if type(extractor) is MlpExtractor and 2 * th.get_num_threads() <= processors():
         extractor.__class__ = _ParallelExtractor  # the same layers, so parameters and checkpoints stay as they are
 
 
