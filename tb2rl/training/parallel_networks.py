@@ -12,7 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.torch_layers import MlpExtractor
 
 from tb2rl.core.processes import processors
-from tb2rl.simulation.arrays.threads import parallel_for
+from tb2rl.core.threads import parallel_for
 
 _MIN_MULTIPLICATIONS = 4_000_000  # of a network for all observations, about 50 us; a thread needs as long to wake up
 

@@ -22,7 +22,7 @@ def in_parallel(monkeypatch):
 
         return each(call, *arguments)
 
-    monkeypatch.setattr("tb2rl.simulation.arrays.threads.THREADS", 2)
+    monkeypatch.setattr("tb2rl.core.threads.THREADS", 2)
     monkeypatch.setattr(parallel_networks, "processors", lambda: 4)
     monkeypatch.setattr(parallel_networks, "_MIN_MULTIPLICATIONS", 1)
     monkeypatch.setattr(parallel_networks, "_each", noted)
