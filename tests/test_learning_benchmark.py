@@ -74,3 +74,24 @@ def test_other_programs_train_and_drive(module, name, task):
     again = train(task, 0, 100, lambda _: True).policy.state_dict()
     assert all(torch.equal(value, again[key]) for key, value in trained.policy.state_dict().items())
     assert train(task, 0, 100, lambda _: False).timesteps == 0
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
+@pytest.mark.parametrize("program", ["tb2rl", "Stable-Baselines3", "CleanRL-style"])
+@pytest.mark.slow
+def test_every_program_has_a_rate(module, program, algorithm, capsys, monkeypatch):
+    rates = module("rates")
+    monkeypatch.setitem(rates.STEPS, algorithm, 64)
+    monkeypatch.setattr(rates, "PPO", rates.PPO._replace(num_envs=4, num_steps=8, batch_size=16))
+    monkeypatch.setattr(rates, "SAC", rates.SAC._replace(num_envs=4, learning_starts=16, batch_size=8))
+    rates.main(["--one", program, algorithm])
+    assert float(capsys.readouterr().out.splitlines()[-1]) > 0
+
+
+def test_the_page_of_rates_has_a_row_for_each_program(module, tmp_path):
+    rates = module("rates")
+    measured = {
+        (program, algorithm): [1.0, 30.0, 2345.6] for program in ("tb2rl", "CleanRL-style") for algorithm in rates.STEPS
+    }
+    text = rates.write_page(tmp_path, measured).read_text()
+    assert text.count("| 30 (1 to 2,350) | 30 (1 to 2,350) |") == len(measured) / 2

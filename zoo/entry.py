@@ -24,6 +24,7 @@ from tb2rl.zoo.suite_policy import SuitePolicy
 # Worlds for evaluations; without world `wall`, whose open sides let a robot drive away without collisions.
 WORLDS = ("loop", "circuit", "round", "maze", "mixed")
 UNSEEN_SUITE = "unseen"  # the suite of worlds that no training uses
+UNKNOWN_SUITE = "unknown"  # that of floors, for robots that map online
 # File in the folder of an entry: evaluations in those `WORLDS` in which its policy was not trained (no suites).
 UNSEEN_WORLDS_FILE = "unseen_worlds.json"
 # Promised rates of good episodes (see `Entry.criterion`).
@@ -164,8 +165,8 @@ class Entry:
             return PROMISED_TABULAR
         if self.config.scene.spec.dynamic_obstacles:
             return PROMISED_AMONG_PEOPLE
-        seeks_goal_without_map = getattr(self.config.task, "guide", "") == "goal"
-        return PROMISED_MAPLESS if seeks_goal_without_map else PROMISED
+        task = self.config.task
+        return PROMISED_MAPLESS if task.maps_online or getattr(task, "guide", "") == "goal" else PROMISED
 
     @property
     def relative_speed(self) -> float:

@@ -34,7 +34,16 @@ from tb2rl.training.training import default_folder
 from tb2rl.viz.pictures import draw_paths
 from tb2rl.worlds.suites import SUITES, find_suite
 from tb2rl.zoo.cards import card, percent, table
-from tb2rl.zoo.entry import UNSEEN_SUITE, Entry, entries, navigating_policies, select, suites_folder, zoo_folder
+from tb2rl.zoo.entry import (
+    UNKNOWN_SUITE,
+    UNSEEN_SUITE,
+    Entry,
+    entries,
+    navigating_policies,
+    select,
+    suites_folder,
+    zoo_folder,
+)
 
 _PURPOSE = "the zoo, whose evaluations use physics,"  # start of the message "... needs PyBullet"
 _SPEED_TOLERANCE = 0.02  # relative difference of mean speeds between machines
@@ -56,9 +65,11 @@ def build(options: argparse.Namespace) -> None:
         evaluate_in_unseen_worlds(selected, executor)
         evaluate_in_physics(selected, simulators, options.episodes, executor)
     policies = [*navigating_policies(selected), *suite_policies]
-    for suite in [find_suite(UNSEEN_SUITE), *barn] if policies else []:
-        for policy, simulator in product(policies, simulators):
-            policy.evaluate_in(suite, simulator.name, options)
+    mapping = [policy for policy in policies if policy.config.task.maps_online]
+    pairs = [*product([find_suite(UNSEEN_SUITE), *barn] if policies else [], policies)]
+    pairs += product([find_suite(UNKNOWN_SUITE)] if mapping else [], mapping)
+    for (suite, policy), simulator in product(pairs, simulators):
+        policy.evaluate_in(suite, simulator.name, options)
     built_entries = [entry for entry in entries() if entry.is_built]
     for entry in built_entries:
         write_text(entry.folder / "README.md", card(entry))

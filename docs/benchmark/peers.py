@@ -31,6 +31,21 @@ DISCRETE, CONTINUOUS = ("maze", "wall"), ("drive",)  # tasks with commands, and 
 GoesOn = Callable[[int], bool]  # whether a training goes on after so many control steps
 
 
+class PpoParameters(NamedTuple):
+    """Parameters of `train_ppo`."""
+
+    num_envs: int
+    num_steps: int  # of a rollout, in each environment
+    batch_size: int
+    epochs: int
+    learning_rate: float
+    entropy_weight: float
+
+
+COMMANDS_PPO = PpoParameters(4, 128, 128, 4, 2.5e-4, 0.01)  # of CleanRL's `ppo.py`
+VELOCITIES_PPO = PpoParameters(1, 2048, 64, 10, 3e-4, 0.0)  # of its `ppo_continuous_action.py`
+
+
 class Trained(NamedTuple):
     """A trained policy."""
 
@@ -61,15 +76,16 @@ def train_sbx(algorithm: str, task: str, seed: int, total_timesteps: int, goes_o
     return Trained(model.policy, model.num_timesteps)
 
 
-def _make_env(task: str, num_envs: int, seed: int) -> gym.vector.VectorEnv:
+def make_env(task: str, num_envs: int, seed: int, **settings: Any) -> gym.vector.VectorEnv:
+    """Environments of a task by its Gymnasium id; also seeds the global generators."""
     arguments = {"task": task, "observation": "raw"}
     name = next(name for name, others in tb2rl.GYM_IDS.items() if others == arguments)
     np.random.seed(seed)  # noqa: NPY002 - Stable-Baselines3's buffer draws from it
     th.manual_seed(seed)
-    return gym.make_vec(f"tb2rl:{name}", num_envs, simulation="kinematic")
+    return gym.make_vec(f"tb2rl:{name}", num_envs, simulation="kinematic", **settings)
 
 
-def _next_observations(observations: np.ndarray, infos: dict[str, Any]) -> np.ndarray:
+def next_observations(observations: np.ndarray, infos: dict[str, Any]) -> np.ndarray:
     """The observations after a step; of ended episodes the last ones, not the first ones of the next episodes."""
     if "final_obs" not in infos:
         return observations
@@ -95,7 +111,7 @@ class DqnPolicy(BasePolicy):
 
 def train_dqn(task: str, seed: int, total_timesteps: int, goes_on: GoesOn) -> Trained:
     """CleanRL's `dqn.py`: one environment, a replay buffer of 10 000 steps."""
-    env, rng = _make_env(task, 1, seed), np.random.default_rng(seed)
+    env, rng = make_env(task, 1, seed), np.random.default_rng(seed)
     policy, target = (DqnPolicy(env.single_observation_space, env.single_action_space) for _ in range(2))
     target.load_state_dict(policy.state_dict())
     optimizer = th.optim.Adam(policy.parameters(), lr=2.5e-4)
@@ -108,7 +124,7 @@ def train_dqn(task: str, seed: int, total_timesteps: int, goes_on: GoesOn) -> Tr
         if rng.random() >= epsilon:
             actions, _ = policy.predict(observations)
         following, rewards, terminated, _, infos = env.step(actions)
-        buffer.add(observations, _next_observations(following, infos), actions, rewards, terminated, [{}])
+        buffer.add(observations, next_observations(following, infos), actions, rewards, terminated, [{}])
         observations, step = following, step + 1
         if step > 10_000 and step % 10 == 0:
             data = buffer.sample(128)
@@ -176,12 +192,22 @@ def _tanh_network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
 
 
-def train_ppo(task: str, seed: int, total_timesteps: int, goes_on: GoesOn) -> Trained:
-    """CleanRL's `ppo.py` (4 environments) for commands, its `ppo_continuous_action.py` (one) for velocities."""
+def train_ppo(
+    task: str,
+    seed: int,
+    total_timesteps: int,
+    goes_on: GoesOn,
+    parameters: PpoParameters | None = None,
+    **settings: Any,
+) -> Trained:
+    """CleanRL's `ppo.py` for commands, its `ppo_continuous_action.py` for velocities.
+
+    `parameters` replace those of CleanRL, `settings` the task's.
+    """
     is_discrete = task not in CONTINUOUS
-    num_envs, num_steps, num_batches, epochs = (4, 128, 4, 4) if is_discrete else (1, 2048, 32, 10)
-    rate, entropy_weight = (2.5e-4, 0.01) if is_discrete else (3e-4, 0.0)
-    env = _make_env(task, num_envs, seed)
+    parameters = parameters or (COMMANDS_PPO if is_discrete else VELOCITIES_PPO)
+    num_envs, num_steps, size, epochs, rate, entropy_weight = parameters
+    env = make_env(task, num_envs, seed, **settings)
     policy = PpoPolicy(env.single_observation_space, env.single_action_space)
     optimizer = th.optim.Adam(policy.parameters(), lr=rate, eps=1e-5)
     rewards_scale = _RewardScale(num_envs)
@@ -219,7 +245,7 @@ def train_ppo(task: str, seed: int, total_timesteps: int, goes_on: GoesOn) -> Tr
         data = [th.stack(column).flatten(0, 1) for column in rollout.values()]
         returns = th.as_tensor(advantages + values[:-1]).flatten()
         for _ in range(epochs):
-            for indices in th.randperm(batch_size).chunk(num_batches):
+            for indices in th.randperm(batch_size).split(size):
                 batch = [column[indices] for column in (*data, th.as_tensor(advantages).flatten(), returns)]
                 optimizer.zero_grad()
                 _ppo_loss(policy, batch, entropy_weight).backward()

@@ -22,7 +22,7 @@ def test_every_agent_has_a_policy_for_every_place():
     expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
     expected |= {f"drive-loop-{agent}" for agent in ("sac", "td3", "ppo")}
     expected |= {f"anywhere-{agent}" for agent in ("qlearn", "dqn", "ppo", "sac")}
-    expected |= {f"navigate-{kind}-ppo" for kind in ("plan", "goal")}
+    expected |= {f"navigate-{kind}-ppo" for kind in ("plan", "online", "goal")}
     assert {entry.name for entry in ENTRIES} == expected | {"maze-loop-turtlebot3-ppo"}
 
 
@@ -30,7 +30,7 @@ def test_every_agent_has_a_policy_for_every_place():
 def test_a_policy_drives_in_its_world(entry):
     policy = tb2rl.load(f"zoo:{entry.name}")
     env = tb2rl.make_env(policy, simulation="kinematic")
-    assert entry.config.task.world in (env.scene.world.name, "mixed")
+    assert entry.config.task.world in (env.scene.world.name, "mixed") or not isinstance(entry.config.task.world, str)
     observation, _ = env.reset(seed=2)
     info = {"ended": ""}
     for _ in range(600 if entry.navigates else 200):
@@ -70,7 +70,7 @@ def test_a_card_and_its_figures_agree_with_the_episodes(entry):
 @pytest.mark.parametrize("policy", policies_of_suites_yaml(), ids=lambda policy: policy.name)
 def test_policies_of_suites_yaml_have_the_name_of_their_agent_or_entry_and_variation(policy):
     reference, agent, task = policy.evaluate_options.policy, policy.evaluate_options.agent, policy.config.task
-    who = reference.removeprefix("zoo:") if reference else f"{agent}-{task.guide}"
+    who = reference.removeprefix("zoo:") if reference else f"{agent}-{'online' if task.maps_online else task.guide}"
     usual = "none" if agent else config_of(tb2rl.load(reference)).task.variation
     how = "exact" if task.variation == "none" else task.variation
     assert policy.name == (who if task.variation == usual else f"{who}-{how}")
@@ -88,7 +88,7 @@ def test_the_table_agrees_with_the_entries_and_has_every_result_of_a_suite():
 
 def test_the_overview_has_a_row_for_every_place_and_a_cell_for_every_policy():
     lines = overview(ENTRIES).splitlines()
-    assert len(lines) == 2 + len(PLACES) + 6
+    assert len(lines) == 2 + len(PLACES) + 7
     assert any(line.startswith("| `maze, loop with turtlebot3` | ") for line in lines)
     assert sum(line.count(" m/s") for line in lines) == len(ENTRIES)
 
