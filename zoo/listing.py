@@ -31,11 +31,17 @@ def list_policies(arguments: argparse.Namespace) -> None:
         raise InputError("no policy of the zoo matches; `python -m tb2rl.zoo list` shows all")
     simulators = dict.fromkeys(name for *_, results in rows for name in results)
     titles = [Column(find_simulator(name).title, justify="right") for name in simulators]
-    table = Table(Column("zoo:", no_wrap=True), "task", "world", *titles, caption="good episodes, speed in m/s")
+    table = Table(
+        Column("zoo:", no_wrap=True),
+        "task",
+        Column("world", no_wrap=True, max_width=12),
+        *titles,
+        caption="good episodes, speed in m/s",
+    )
     for entry, task, results in rows:
         key = criterion(find_task(task["name"]).goal_task).key
         cells = [_cell(results[name], key) if name in results else "" for name in simulators]
-        table.add_row(entry.name, task["name"], str(task["world"]), *cells)
+        table.add_row(entry.name, task["name"], _world_title(task["world"]), *cells)
     Console().print(table)
 
 
@@ -50,3 +56,9 @@ def show_policy(arguments: argparse.Namespace) -> None:
 
 def _cell(figures: Mapping[str, Any], key: str) -> str:
     return f"{percent(figures[key])} {figures['mean_speed']:.2f}"
+
+
+def _world_title(setting: Any) -> str:
+    """The names of worlds and generators: "loop", "mixed, offices"."""
+    worlds = setting if isinstance(setting, list) else [setting]
+    return ", ".join(world.get("generator", "file") if isinstance(world, dict) else str(world) for world in worlds)

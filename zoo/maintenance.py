@@ -47,6 +47,7 @@ from tb2rl.zoo.entry import (
 
 _PURPOSE = "the zoo, whose evaluations use physics,"  # start of the message "... needs PyBullet"
 _SPEED_TOLERANCE = 0.02  # relative difference of mean speeds between machines
+_MAX_SIDE = 1280  # [pixels] of a picture
 _NUM_DRAWN = 30  # number of first episodes in a picture; later episodes are drawn only if they failed
 PICTURE = "paths.png"
 
@@ -239,5 +240,6 @@ def _evaluate_in_world(files: Mapping[str, bytes], world: str) -> dict[str, Any]
 def draw(evaluation: Evaluation, file: Path) -> None:
     """Draw the paths of the first episodes and of all failed ones."""
     drawn_episodes = [episode for i, episode in enumerate(evaluation.episodes) if episode.failed or i < _NUM_DRAWN]
-    picture = draw_paths(evaluation.scene, drawn_episodes)
-    Image.fromarray(picture).quantize(64).save(file, optimize=True)
+    picture = Image.fromarray(draw_paths(evaluation.scene, drawn_episodes))
+    picture.thumbnail((_MAX_SIDE, _MAX_SIDE))
+    picture.quantize(64).save(file, optimize=True)
