@@ -66,9 +66,9 @@ def build(options: argparse.Namespace) -> None:
         evaluate_in_unseen_worlds(selected, executor)
         evaluate_in_physics(selected, simulators, options.episodes, executor)
     policies = [*navigating_policies(selected), *suite_policies]
-    mapping = [policy for policy in policies if policy.config.task.maps_online]
+    online = [policy for policy in policies if policy.config.task.maps_online]
     pairs = [*product([find_suite(UNSEEN_SUITE), *barn] if policies else [], policies)]
-    pairs += product([find_suite(UNKNOWN_SUITE)] if mapping else [], mapping)
+    pairs += product([find_suite(UNKNOWN_SUITE)] if online else [], online)
     for (suite, policy), simulator in product(pairs, simulators):
         policy.evaluate_in(suite, simulator.name, options)
     built_entries = [entry for entry in entries() if entry.is_built]

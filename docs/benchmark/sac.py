@@ -56,11 +56,12 @@ def train_sac(
     observation_space, action_space = env.single_observation_space, env.single_action_space
     inputs, outputs = observation_space.shape[0], action_space.shape[0]
     actor, log_alpha = Actor(inputs, outputs, hidden), th.zeros(1, requires_grad=True)
-    critics, targets = (nn.ModuleList(_network(inputs + outputs, 1, hidden) for _ in range(2)) for _ in range(2))
-    targets.load_state_dict(critics.state_dict())
+    critics, target_critics = (nn.ModuleList(_network(inputs + outputs, 1, hidden) for _ in range(2)) for _ in range(2))
+    target_critics.load_state_dict(critics.state_dict())
     groups = [*actor.parameters()], [*critics.parameters()], [log_alpha]
     actor_optimizer, critic_optimizer, alpha_optimizer = (th.optim.Adam(group, lr=RATE) for group in groups)
     buffer = ReplayBuffer(buffer_size, observation_space, action_space, "cpu", num_envs)
+    target_entropy = -outputs
     (observations, _), step = env.reset(seed=seed), 0
     while step < total_timesteps and goes_on(step):
         with th.no_grad():
@@ -75,20 +76,19 @@ def train_sac(
             alpha = log_alpha.exp().item()
             with th.no_grad():
                 actions, log_probs = actor.sample(data.next_observations)
-                values = _least_value(targets, data.next_observations, actions) - alpha * log_probs
-                goals = data.rewards + (1 - data.dones) * GAMMA * values
+                values = _least_value(target_critics, data.next_observations, actions) - alpha * log_probs
+                targets = data.rewards + (1 - data.dones) * GAMMA * values
             pairs = th.cat([data.observations, data.actions], dim=1)
-            loss = sum(functional.mse_loss(critic(pairs), goals) for critic in critics)
+            loss = sum(functional.mse_loss(critic(pairs), targets) for critic in critics)
             _descend(critic_optimizer, loss)
             for _ in range(2 if update % 2 == 0 else 0):  # makes up for the delay of the actor
                 actions, log_probs = actor.sample(data.observations)
                 _descend(
                     actor_optimizer, (alpha * log_probs - _least_value(critics, data.observations, actions)).mean()
                 )
-                errors = log_probs.detach() - outputs  # the entropy is to be minus the number of outputs
-                _descend(alpha_optimizer, (-log_alpha.exp() * errors).mean())
+                _descend(alpha_optimizer, (-log_alpha.exp() * (log_probs.detach() + target_entropy)).mean())
                 alpha = log_alpha.exp().item()
-            for weight, target in zip(critics.parameters(), targets.parameters(), strict=True):
+            for weight, target in zip(critics.parameters(), target_critics.parameters(), strict=True):
                 target.data.copy_(TAU * weight.data + (1 - TAU) * target.data)
     env.close()
     return step
