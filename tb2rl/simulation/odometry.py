@@ -6,6 +6,7 @@ With a gyro, the heading comes from the gyro, and x and y come from the wheels, 
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -28,12 +29,13 @@ def is_odometry_exact(initial_states):
 
 
 @njit(cache=True)
-def measure_arcs(arcs, initial_states):
+def measure_arcs(arcs, turns, initial_states):
     """Measure arcs with the errors of encoders and gyros.
 
     Args:
-        arcs: True lengths [m] and turns [rad], or speeds and turn rates, shape (num_envs, 2). For one robot, `arcs`
-            may have any number of rows.
+        arcs: Lengths [m] and turns [rad] by the true motion of the wheels, or speeds and turn rates, shape
+            (num_envs, 2). For one robot, `arcs` may have any number of rows.
+        turns: True turns of the robots [rad], or their rates; unlike those of `arcs` if wheels slip, shape (num_envs,).
         initial_states: Records with the errors of each robot, shape (num_envs,).
 
     Returns:
@@ -47,8 +49,13 @@ def measure_arcs(arcs, initial_states):
         right = (arcs[i, 0] + half_difference) * robot.right_encoder / robot.wheel_radius
         encoder_turn = (right - left) / (robot.wheel_separation * robot.assumed_separation)
         measured[i, 0] = 0.5 * (left + right)
-        measured[i, 1] = encoder_turn if robot.gyro == 0.0 else robot.gyro * arcs[i, 1]
+        measured[i, 1] = encoder_turn if robot.gyro == 0.0 else robot.gyro * turns[i]
     return measured
+
+
+def near(angles: Any, turns: Any) -> Any:
+    """Add full turns to angles [rad], so that they differ from `turns` [rad] by at most half a turn."""
+    return angles - math.tau * np.round((angles - turns) / math.tau)
 
 
 @njit(cache=True)
@@ -67,21 +74,22 @@ def integrate_odometry(odometry, arcs):
 
 
 def encoder_odometry(
-    odometry: Pose, left: Pair, right: Pair, separation: float, initial_state: InitialState | None
+    odometry: Pose, left: Pair, right: Pair, turned: Pair, separation: float, initial_state: InitialState
 ) -> tuple[Pose, Pair]:
     """Odometry x, y, yaw [m, m, rad] of one robot after an arc, and its v [m/s] and w [rad/s].
 
     Args:
         odometry: x, y, yaw before the arc.
         left, right: Distance [m] that the rim of the left (right) wheel has moved, and its speed [m/s].
+        turned: True change of the yaw [rad], up to full turns, and its rate [rad/s].
         separation: Wheel separation of PyBullet's body [m]; `initial_state` has the varied one.
-        initial_state: Errors of wheels, encoders and gyro; None: no errors.
+        initial_state: Errors of wheels, encoders and gyro.
     """
     x, y, yaw = odometry
     length, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / separation
     v, w = (left[1] + right[1]) / 2, (right[1] - left[1]) / separation
-    if initial_state is not None:
-        (length, turn), (v, w) = measure_arcs(np.array([(length, turn), (v, w)]), initial_state.records).tolist()
+    arcs, turns = np.array([(length, turn), (v, w)]), np.array([near(turned[0], turn), turned[1]])
+    (length, turn), (v, w) = measure_arcs(arcs, turns, initial_state.records).tolist()
     if turn:
         length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
     heading = yaw + turn / 2

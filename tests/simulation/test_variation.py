@@ -117,6 +117,18 @@ def test_mass_slows_the_robot_and_wheels_without_friction_spin(make_spec, make_p
     assert own.twist[0, 0] == pytest.approx(own.odometry_twist[0, 0], rel=0.05)
 
 
+@pytest.mark.parametrize("has_gyro", [True, False])
+def test_only_a_gyro_measures_the_turn_of_a_robot_whose_wheels_slip(has_gyro, make_spec, make_physics, begin):
+    spec = make_spec(beams=1)
+    simulation = make_physics(replace(spec, robot=replace(spec.robot, gyro=has_gyro)))
+    begin(simulation, varied(simulation.spec, friction=0.2))
+    after = simulation.step(np.array([[0.0, 2.5]]), 0.2)
+    assert 0.0 < after.twist[0, 1] < 2.3
+    by_odometry, true = after.odometry[0, 2], after.pose[0, 2]
+    assert by_odometry == pytest.approx(true) if has_gyro else by_odometry > 1.1 * true
+    assert (after.odometry_twist[0, 1] == pytest.approx(after.twist[0, 1])) == has_gyro
+
+
 def test_the_robot_is_exactly_nominal_in_the_next_episode(make_spec, make_physics, begin):
     spec, command = make_spec(beams=3), np.array([[0.6, 1.0]])
     fresh, used = make_physics(spec), make_physics(spec)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tb2rl.simulation.arrays.robots import ROBOT, Constants, RobotArrays, reset_robots, scan_robots, wheel_twists
 from tb2rl.simulation.obstacles.dynamic_obstacles import SimulatedObstacles
-from tb2rl.simulation.odometry import integrate_odometry, is_odometry_exact, measure_arcs
+from tb2rl.simulation.odometry import integrate_odometry, is_odometry_exact, measure_arcs, near
 from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
@@ -57,10 +57,15 @@ class ArraySimulator:
     def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
         if self.spec.has_dynamic_obstacles:
             self._obstacles.table = self._obstacles.table.copy()  # earlier robot states refer to the old table
+        yaws = self._records["pose"][:, 2]
         _, self._records, self._ranges = robots = self.step_robots(commands, duration, inactive)
         self.travelled = robots.records["travelled"]
         if self._odometry is not None:
-            arcs = measure_arcs(robots.records["arc"], self._initial_state.records)
+            arcs = self._records["arc"]
+            turns = arcs[:, 1]
+            if self.wheels_slip:
+                turns = near(self._records["pose"][:, 2] - yaws, turns)
+            arcs = measure_arcs(arcs, turns, self._initial_state.records)
             self._odometry = integrate_odometry(self._odometry, arcs)
         return self._robot_state()
 
@@ -130,7 +135,8 @@ class ArraySimulator:
         motion = measured_motion = records["pose"], records["twist"]
         if self._odometry is not None:
             initial_states = self._initial_state.records
-            measured_motion = self._odometry, measure_arcs(wheel_twists(records, initial_states), initial_states)
+            twists, turn_rates = wheel_twists(records, initial_states), records["twist"][:, 1]
+            measured_motion = self._odometry, measure_arcs(twists, turn_rates, initial_states)
         measured = self._ranges, records["bumped"], records["command"], records["acceleration"]
         fields = *motion, *measured_motion, *measured, self._initial_state, self, *self._obstacle_fields()
         return RobotState(*fields, nearest_range=records["nearest_range"])

@@ -11,7 +11,7 @@ from tb2rl.simulation.bullet.bodies import add_floor, add_robot, add_walls, came
 from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.bullet.obstacle_bodies import BulletObstacles
 from tb2rl.simulation.obstacles.outlines import cast_at_obstacles
-from tb2rl.simulation.odometry import encoder_odometry, is_odometry_exact
+from tb2rl.simulation.odometry import encoder_odometry
 from tb2rl.simulation.robot_state import ARRAYS, RobotState
 from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
@@ -122,7 +122,7 @@ class BulletSimulator:
             with quiet():
                 clear(self._client)  # takes half as long as opening another client
                 self._build()
-        self._initial_state, self._has_exact_odometry = initial_state, is_odometry_exact(initial_state.records)
+        self._initial_state = initial_state
         self._max_speed, self._max_turn_rate = float(row["max_speed"]), float(row["max_turn_rate"])
         # PyBullet cannot resize the wheels of a loaded body. Scaled commands move the robot as other wheels would.
         self._v_scale = float(row["wheel_radius"])
@@ -234,7 +234,7 @@ class BulletSimulator:
         self._last_placement, self._command_log = (motion, self._obstacles.state()), []
         self._obstacles.place()
         self._body.teleport(**motion)
-        self._angles = tuple(angle for angle, _ in motion["wheels"])
+        self._angles, self._yaw = tuple(angle for angle, _ in motion["wheels"]), self._body.pose()[2]
 
     def close(self) -> None:
         if self._client >= 0:
@@ -251,7 +251,15 @@ class BulletSimulator:
         self._command, duration = self._command_log[-1] if self._command_log else (np.zeros(2), math.inf)
         self._acceleration = (self._speed - last_speed) / duration  # 0 without a command: the duration is inf
         twist, bumped = (self._speed, turn_rate), wall_hit or obstacle_hit
-        measured = pose, twist, *self._read_encoders(), ranges[0], bumped, self._command, self._acceleration
+        measured = (
+            pose,
+            twist,
+            *self._update_odometry(yaw, turn_rate),
+            ranges[0],
+            bumped,
+            self._command,
+            self._acceleration,
+        )
         if not self.spec.has_dynamic_obstacles:
             return measured
         return *measured, self._obstacles.outlines[0].copy(), not wall_hit and (obstacle_hit or nearest_is_dynamic)
@@ -276,14 +284,15 @@ class BulletSimulator:
             ranges[self._rng.random(ranges.shape) < dropped] = np.inf
         return ranges, is_dynamic
 
-    def _read_encoders(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
-        """Update the odometry by the motion of the wheels since the last call; return x, y, yaw, and v, w."""
+    def _update_odometry(self, yaw: float, turn_rate: float) -> tuple[tuple[float, float, float], tuple[float, float]]:
+        """Update the odometry by the motion since the last call; return x, y, yaw, and v, w."""
         robot, wheels = self.spec.robot, self._body.wheel_states()
         turns = [(angle - last, rate) for (angle, rate), last in zip(wheels, self._angles, strict=True)]
         left, right = ((turn * robot.wheel_radius, rate * robot.wheel_radius) for turn, rate in turns)
-        self._angles = tuple(angle for angle, _ in wheels)
-        initial_state = None if self._has_exact_odometry else self._initial_state
-        self._odometry, twist = encoder_odometry(self._odometry, left, right, robot.wheel_separation, initial_state)
+        turned = yaw - self._yaw, turn_rate
+        self._angles, self._yaw = tuple(angle for angle, _ in wheels), yaw
+        motion = left, right, turned, robot.wheel_separation
+        self._odometry, twist = encoder_odometry(self._odometry, *motion, self._initial_state)
         return self._odometry, twist
 
     def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
