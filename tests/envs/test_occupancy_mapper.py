@@ -83,10 +83,10 @@ def test_a_gap_is_as_wide_as_the_laser_measures(make_navigate_scene, width, goes
 
 
 def test_a_robot_that_stands_turns_to_where_there_is_room_and_then_plans_again(make_navigate_scene):
-    beside_the_wall = (3.7, 2.0, 0.0)
+    beside_the_wall = (3.7, 2.5, 0.0)  # at y = 2 m both ways would be as long
     points = waypoints(make_navigate_scene(map="online"), [beside_the_wall] * 80)
-    assert points[40, 1] > 2.8, "along the wall"
-    assert points[60, 1] < 1.7, "elsewhere, after five seconds"
+    assert points[40, 1] < 1.8, "along the wall"
+    assert points[60, 1] > 2.0, "elsewhere, after five seconds"
     assert points[79] == pytest.approx(points[40], abs=0.1)
 
 
