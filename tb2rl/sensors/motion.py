@@ -1,6 +1,7 @@
 """Sensors of speed, acceleration and contact, and of the recent past: commands and positions.
 
-Odometry follows the wheels, which can slip; the inertial unit (IMU) measures the motion of the body.
+Odometry follows the wheels, which can slip, and the gyro, if there is one; the inertial unit (IMU) measures the motion
+of the body.
 """
 
 import math

@@ -251,15 +251,8 @@ class BulletSimulator:
         self._command, duration = self._command_log[-1] if self._command_log else (np.zeros(2), math.inf)
         self._acceleration = (self._speed - last_speed) / duration  # 0 without a command: the duration is inf
         twist, bumped = (self._speed, turn_rate), wall_hit or obstacle_hit
-        measured = (
-            pose,
-            twist,
-            *self._update_odometry(yaw, turn_rate),
-            ranges[0],
-            bumped,
-            self._command,
-            self._acceleration,
-        )
+        odometry = self._update_odometry(yaw, turn_rate)
+        measured = pose, twist, *odometry, ranges[0], bumped, self._command, self._acceleration
         if not self.spec.has_dynamic_obstacles:
             return measured
         return *measured, self._obstacles.outlines[0].copy(), not wall_hit and (obstacle_hit or nearest_is_dynamic)
