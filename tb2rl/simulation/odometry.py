@@ -6,7 +6,6 @@ With a gyro, the heading comes from the gyro, and x and y come from the wheels, 
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -53,11 +52,6 @@ def measure_arcs(arcs, turns, initial_states):
     return measured
 
 
-def near(angles: Any, turns: Any) -> Any:
-    """Add full turns to angles [rad], so that they differ from `turns` [rad] by at most half a turn."""
-    return angles - math.tau * np.round((angles - turns) / math.tau)
-
-
 @njit(cache=True)
 def integrate_odometry(odometry, arcs):
     """Add arcs (num_envs, 2), lengths [m] and turns [rad], to odometry (num_envs, 3), in a new array."""
@@ -74,22 +68,26 @@ def integrate_odometry(odometry, arcs):
 
 
 def encoder_odometry(
-    odometry: Pose, left: Pair, right: Pair, turned: Pair, separation: float, initial_state: InitialState
+    odometry: Pose, left: Pair, right: Pair, turned: Pair | None, separation: float, initial_state: InitialState | None
 ) -> tuple[Pose, Pair]:
     """Odometry x, y, yaw [m, m, rad] of one robot after an arc, and its v [m/s] and w [rad/s].
 
     Args:
         odometry: x, y, yaw before the arc.
         left, right: Distance [m] that the rim of the left (right) wheel has moved, and its speed [m/s].
-        turned: True change of the yaw [rad], up to full turns, and its rate [rad/s].
+        turned: True change of the yaw [rad], up to full turns, and its rate [rad/s]; None: there is no gyro.
         separation: Wheel separation of PyBullet's body [m]; `initial_state` has the varied one.
-        initial_state: Errors of wheels, encoders and gyro.
+        initial_state: Errors of wheels, encoders and gyro; None: no errors.
     """
     x, y, yaw = odometry
     length, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / separation
     v, w = (left[1] + right[1]) / 2, (right[1] - left[1]) / separation
-    arcs, turns = np.array([(length, turn), (v, w)]), np.array([near(turned[0], turn), turned[1]])
-    (length, turn), (v, w) = measure_arcs(arcs, turns, initial_state.records).tolist()
+    turned = (turn, w) if turned is None else (turn + math.remainder(turned[0] - turn, math.tau), turned[1])
+    if initial_state is None:
+        turn, w = turned
+    else:
+        arcs = np.array([(length, turn), (v, w)])
+        (length, turn), (v, w) = measure_arcs(arcs, np.array(turned), initial_state.records).tolist()
     if turn:
         length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
     heading = yaw + turn / 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from tb2rl.simulation.arrays.robots import ROBOT, Constants, RobotArrays, reset_robots, scan_robots, wheel_twists
 from tb2rl.simulation.obstacles.dynamic_obstacles import SimulatedObstacles
-from tb2rl.simulation.odometry import integrate_odometry, is_odometry_exact, measure_arcs, near
+from tb2rl.simulation.odometry import integrate_odometry, is_odometry_exact, measure_arcs
 from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
@@ -64,7 +65,8 @@ class ArraySimulator:
             arcs = self._records["arc"]
             turns = arcs[:, 1]
             if self.wheels_slip:
-                turns = near(self._records["pose"][:, 2] - yaws, turns)
+                changes = self._records["pose"][:, 2] - yaws
+                turns = changes - math.tau * np.round((changes - turns) / math.tau)  # with the full turns of the wheels
             arcs = measure_arcs(arcs, turns, self._initial_state.records)
             self._odometry = integrate_odometry(self._odometry, arcs)
         return self._robot_state()

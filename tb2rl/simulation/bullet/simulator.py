@@ -11,7 +11,7 @@ from tb2rl.simulation.bullet.bodies import add_floor, add_robot, add_walls, came
 from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.bullet.obstacle_bodies import BulletObstacles
 from tb2rl.simulation.obstacles.outlines import cast_at_obstacles
-from tb2rl.simulation.odometry import encoder_odometry
+from tb2rl.simulation.odometry import encoder_odometry, is_odometry_exact
 from tb2rl.simulation.robot_state import ARRAYS, RobotState
 from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
@@ -122,7 +122,7 @@ class BulletSimulator:
             with quiet():
                 clear(self._client)  # takes half as long as opening another client
                 self._build()
-        self._initial_state = initial_state
+        self._initial_state, self._has_exact_odometry = initial_state, is_odometry_exact(initial_state.records)
         self._max_speed, self._max_turn_rate = float(row["max_speed"]), float(row["max_turn_rate"])
         # PyBullet cannot resize the wheels of a loaded body. Scaled commands move the robot as other wheels would.
         self._v_scale = float(row["wheel_radius"])
@@ -282,10 +282,11 @@ class BulletSimulator:
         robot, wheels = self.spec.robot, self._body.wheel_states()
         turns = [(angle - last, rate) for (angle, rate), last in zip(wheels, self._angles, strict=True)]
         left, right = ((turn * robot.wheel_radius, rate * robot.wheel_radius) for turn, rate in turns)
-        turned = yaw - self._yaw, turn_rate
+        turned = (yaw - self._yaw, turn_rate) if robot.gyro else None
         self._angles, self._yaw = tuple(angle for angle, _ in wheels), yaw
         motion = left, right, turned, robot.wheel_separation
-        self._odometry, twist = encoder_odometry(self._odometry, *motion, self._initial_state)
+        initial_state = None if self._has_exact_odometry else self._initial_state
+        self._odometry, twist = encoder_odometry(self._odometry, *motion, initial_state)
         return self._odometry, twist
 
     def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
