@@ -95,3 +95,10 @@ def test_the_page_of_rates_has_a_row_for_each_program(module, tmp_path):
     }
     text = rates.write_page(tmp_path, measured).read_text()
     assert text.count("| 30 (1 to 2,350) | 30 (1 to 2,350) |") == len(measured) / 2
+
+
+def test_the_page_of_rates_is_of_this_program(module):
+    rates = module("rates")
+    page = (rates.FOLDER / "rates.md").read_text()
+    assert page.startswith(rates.INTRODUCTION)
+    assert all(f"| {program} |" in page for program in rates.PROGRAMS)

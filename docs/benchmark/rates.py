@@ -36,8 +36,8 @@ from tb2rl.training.training import train_config
 FOLDER = Path(__file__).parent
 TASK, HIDDEN, ROUNDS = "drive", [64, 64], 3
 PPO = PpoParameters(num_envs=256, num_steps=64, batch_size=2_048, epochs=5, learning_rate=3e-4, entropy_weight=0.0)
-SAC = SacParameters(num_envs=64, updates=4, batch_size=256, buffer_size=100_000, learning_starts=5_000, hidden=64)
-STEPS = {"PPO": 1_000_000, "SAC": 100_000}  # of a training
+SAC = SacParameters(num_envs=64, updates=4, batch_size=256, buffer_size=100_000, learning_starts=2_000, hidden=64)
+STEPS = {"PPO": 400_000, "SAC": 30_000}  # of a training
 PACKAGES = {"tb2rl": ["tb2rl"], "Stable-Baselines3": ["stable-baselines3"], "SBX": ["sbx-rl", "jax"]}
 INTRODUCTION = f"""# Training rates
 
