@@ -70,6 +70,7 @@ def test_each_physics_is_measured_alone_and_in_parallel(measured, monkeypatch):
 @pytest.mark.flaky(reruns=1)  # it compares times
 def test_the_time_to_trained_ends_with_the_first_evaluation_that_passes(measured, monkeypatch):
     monkeypatch.setattr(work, "evaluate", partial(evaluate, simulation="kinematic"))
+    monkeypatch.setattr(work, "_MAX_PHYSICS_STEPS", 5_000)
     values = measured("training", "trained", "--seeds", "2")
     times = [values[f"qlearn in kinematic, seed {seed}: trained after"] for seed in (0, 1)]
     assert values["qlearn in kinematic: trained, median of 2 seeds"] == pytest.approx(np.mean(times))

@@ -1,4 +1,4 @@
-"""The notebooks of the course with their exercises solved by the solutions; `make docs` executes them unsolved."""
+"""The notebooks of the course, with their exercises as readers find them and then solved by the solutions."""
 
 import re
 import warnings
@@ -24,16 +24,22 @@ def test_the_solutions_pass_the_checks_of_the_exercises(name, tmp_path):
     tags = {tag: cell for cell in notebook.cells for tag in cell.metadata.get("tags", ())}
     numbers = [tag.removeprefix("exercise-") for tag in tags if tag.startswith("exercise-")]
     for number in numbers:
-        tags[f"exercise-{number}"].source = solutions()[f"{name[0]}.{number}"]
+        exercise, check = tags[f"exercise-{number}"], tags[f"check-{number}"]
+        exercise.source = "\n".join([exercise.source, check.source, solutions()[f"{name[0]}.{number}"]])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of Jupyter's own packages
         from nbclient import NotebookClient
 
         NotebookClient(notebook, timeout=500, resources={"metadata": {"path": str(tmp_path)}}).execute()
     for number in numbers:
-        printed = "".join(output.get("text", "") for output in tags[f"check-{number}"].outputs)
-        assert f"Exercise {number}: right." in printed, printed
+        unsolved, solved = (_printed(tags[f"{name}-{number}"]) for name in ("exercise", "check"))
+        assert f"Exercise {number}: not solved yet." in unsolved, unsolved
+        assert f"Exercise {number}: right." in solved, solved
     assert not any(output.get("name") == "stderr" for cell in notebook.cells for output in cell.get("outputs", ()))
+
+
+def _printed(cell) -> str:
+    return "".join(output.get("text", "") for output in cell.outputs)
 
 
 def test_every_notebook_is_in_the_course_has_exercises_and_no_outputs():

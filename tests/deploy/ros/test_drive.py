@@ -68,7 +68,7 @@ def mean_speed(lines):
     return float(distance) / float(seconds)
 
 
-@pytest.mark.flaky(reruns=1)  # it compares processor time
+@pytest.mark.flaky(reruns=3)  # it compares processor time
 def test_in_lockstep_it_drives_as_in_an_evaluation_and_is_evaluated_as_here(graph):
     policy = POLICY[graph.version]
     with simulate(graph, *LOCKSTEP, "--set", "task.start=random", "--seed", "5") as simulated:
@@ -93,7 +93,7 @@ def test_in_lockstep_it_drives_as_in_an_evaluation_and_is_evaluated_as_here(grap
     assert [driven_at, result["mean_speed"]] == pytest.approx([expected, expected], rel=0.05)
 
 
-@pytest.mark.flaky(reruns=1)  # in real time
+@pytest.mark.flaky(reruns=3)  # in real time
 def test_in_real_time_it_drives_and_stops_at_a_service_a_signal_and_when_either_side_is_killed(graph):
     with simulate(graph) as first, watching(graph) as probe:
         with drive(graph, "--wait") as driven:
@@ -165,7 +165,7 @@ def start_when_over(probe, why):
     assert answer == [True, ""]
 
 
-@pytest.mark.flaky(reruns=1)  # in real time
+@pytest.mark.flaky(reruns=3)  # in real time
 def test_each_event_of_the_base_stops_it_until_it_has_ended_and_it_is_started_again(graph):
     if graph.version == 1:
         write_packages(graph.folder / "messages")  # those of the Kobuki; in ROS 2 std_msgs/Bool takes their place
@@ -210,7 +210,7 @@ def check_signal(driven, probe, sign):
     assert "stopped: the node ends" in driven.lines[-3:]
 
 
-@pytest.mark.flaky(reruns=1)  # in real time
+@pytest.mark.flaky(reruns=3)  # in real time
 def test_a_dry_run_commands_nothing_and_a_scanner_that_does_not_fit_and_the_safety_filter_stop_it(graph, trained_run):
     with simulate(graph, "--set", "task.world=wall") as simulated, watching(graph) as probe:
         with drive(graph, "--dry-run") as driven:
@@ -234,7 +234,7 @@ def test_a_dry_run_commands_nothing_and_a_scanner_that_does_not_fit_and_the_safe
         assert ", touched something 0 times, " in simulated.lines[-1]
 
 
-@pytest.mark.flaky(reruns=1)  # in real time
+@pytest.mark.flaky(reruns=3)  # in real time
 def test_it_stops_at_its_goal_without_odometry_and_while_simulated_time_stands_still(graph):
     goals = GOALS[graph.version]
     arguments = ["zoo:navigate-goal-ppo", "--topics", "odometry=/relayed", *sim_time(graph)]
@@ -264,7 +264,7 @@ def test_it_stops_at_its_goal_without_odometry_and_while_simulated_time_stands_s
         check_signal(driven, probe, signal.SIGHUP)
 
 
-@pytest.mark.flaky(reruns=1)  # in real time
+@pytest.mark.flaky(reruns=3)  # in real time
 def test_an_evaluation_in_real_time_ends_at_an_event_of_the_base_a_signal_and_when_the_robot_is_lost(graph):
     with simulate(graph) as simulated, watching(graph) as probe:
         with evaluate(graph, "--json", "contact.json") as evaluating:
