@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import sys
 from collections import Counter
 from pathlib import Path
@@ -102,3 +103,20 @@ def test_the_page_of_rates_is_of_this_program(module):
     page = (rates.FOLDER / "rates.md").read_text()
     assert page.startswith(rates.INTRODUCTION)
     assert all(f"| {program} |" in page for program in rates.PROGRAMS)
+
+
+@pytest.mark.slow
+def test_the_page_of_people_has_every_driver_in_every_crowd(module, tmp_path, monkeypatch):
+    people = module("people")
+    monkeypatch.setattr(people, "POLICIES", ())
+    monkeypatch.setattr(people, "RULES", ("pursuit",))
+    people.main(["--episodes", "2", "--simulation", "kinematic", "--folder", str(tmp_path)])
+    rows = [line for line in (tmp_path / "people.md").read_text().splitlines() if re.match(r"\| (zoo|pursuit)", line)]
+    assert [len(re.findall(r"\| [\d.]+ \([\d.]+, [\d.]+\) ", row)) for row in rows] == [len(people.CROWDS)] * 4
+
+
+def test_the_page_of_people_is_of_this_program(module):
+    people = module("people")
+    page = (people.FOLDER / "people.md").read_text()
+    assert page.startswith(people.INTRODUCTION)
+    assert all(f"| {name}" in page for name in (*people.POLICIES, people.WITHOUT_PEOPLE, *people.RULES))

@@ -23,7 +23,11 @@ Kind = Literal["agent", "filter", "robot", "simulator", "task", "world"]
 T = TypeVar("T")
 _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)  # *args and **kwargs
 
-FILTERS = {"safety": "tb2rl.envs.safety:Safety", "speed_limits": "tb2rl.envs.filters:SpeedLimits"}
+FILTERS = {
+    "passive_safety": "tb2rl.envs.passive_safety:PassiveSafety",
+    "safety": "tb2rl.envs.safety:Safety",
+    "speed_limits": "tb2rl.envs.filters:SpeedLimits",
+}
 ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("jackal", "turtlebot2", "turtlebot3")}
 SIMULATORS = {  # in the order of preference for evaluations
     "bullet": "tb2rl.simulation.bullet:SIMULATOR",
