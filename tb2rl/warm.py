@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> None:
         for group in (None, {"people": 1, "boxes": 1}):
             film(policy, Path(folder, "film.gif"), settings={"dynamic_obstacles": group}, options=FilmOptions(steps=2))
     sensors = ["laser", "camera", "free_paths", "visited"]
-    seen: dict[str, Any] = {"observe": sensors, "dynamic_obstacles": {"people": 1}, "filters": ["safety"]}
+    seen: dict[str, Any] = {"observe": sensors, "dynamic_obstacles": {"people": 1}, "filters": ["passive_safety"]}
     env = make_env("maze", "raw", simulation="kinematic", **seen)
     env.reset()
     env.step(0)

@@ -1,6 +1,7 @@
 """`ros calibrate`: on a fake node, and on real graphs of ROS 1 and ROS 2, where it drives the robot of `simulate`."""
 
 import math
+import shutil
 import signal
 from functools import partial
 from pathlib import Path
@@ -144,6 +145,9 @@ def test_a_dry_run_writes_no_bag_and_an_error_of_the_bag_ends_the_drive(node, cl
 @pytest.mark.flaky(reruns=3)  # the robot may reach an obstacle before the button is pressed
 def test_in_lockstep_it_drives_to_its_end_or_something_cuts_it_short(graph):
     suffix = ".bag" if graph.version == 1 else ""
+    for pattern in ("short*", "narrow*", "drive*"):  # of an earlier attempt, whose folder this is
+        for path in graph.folder.glob(pattern):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def calibrate(name, free=FREE):
         sim_time = ["--ros-args", "-p", "use_sim_time:=true"] if graph.version == 2 else []
