@@ -32,7 +32,7 @@ def test_the_solutions_pass_the_checks_of_the_exercises(name, tmp_path):
 
         NotebookClient(notebook, timeout=500, resources={"metadata": {"path": str(tmp_path)}}).execute()
     for number in numbers:
-        unsolved, solved = (_printed(tags[f"{name}-{number}"]) for name in ("exercise", "check"))
+        unsolved, solved = (_printed(tags[f"{cell}-{number}"]) for cell in ("exercise", "check"))
         assert f"Exercise {number}: not solved yet." in unsolved, unsolved
         assert f"Exercise {number}: right." in solved, solved
     assert not any(output.get("name") == "stderr" for cell in notebook.cells for output in cell.get("outputs", ()))

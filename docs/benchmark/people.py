@@ -22,19 +22,20 @@ from tb2rl.training.training import train_config
 FOLDER, RUNS, SEED, EPISODES = Path(__file__).parent, Path("runs/people"), 1, 150
 POLICIES, RULES = ("navigate-people", "navigate-people-lidar"), ("dwa", "vfh")
 WITHOUT_PEOPLE = "zoo:navigate-plan-ppo"
-PEOPLE = {"speed": [0.3, 1.0]}
+SPEED = {"speed": [0.3, 1.0]}
 CROWDS: dict[str, dict[str, Any] | None] = {
     "no people": None,
-    "8 people": {"people": 8, **PEOPLE},
-    "8 who give way": {"people": 8, "avoid_robot": True, **PEOPLE},
-    "16 people": {"people": 16, **PEOPLE},
+    "8 people": {"people": 8, **SPEED},
+    "8 who give way": {"people": 8, "avoid_robot": True, **SPEED},
+    "16 people": {"people": 16, **SPEED},
 }
 INTRODUCTION = f"""# Among people
 
 Task `navigate` with a plan on a known map, in test worlds of `mixed`, among people who walk at 0.3 to 1 m/s to random
-points and do not see the robot, or give way to it. The share of goals that the robot reaches within 150 s, in brackets
-of contacts that it causes, and of episodes with any contact [%]; and its mean speed among eight people. A robot that
-stands or drives away causes no contact (at fault, as in nuPlan). The same episodes in every row.
+points and do not see the robot, or give way to it. A cell has the share of goals that the robot reaches within 150 s;
+in brackets, that of episodes that end because it causes a contact, and of episodes with any contact [%]. A robot
+that stands or drives away causes no contact (at fault, as in nuPlan). The speed is the mean among eight people. The
+episodes of a column are the same in every row.
 
 The presets [navigate-people](../../configs/navigate-people.yaml) and
 [navigate-people-lidar](../../configs/navigate-people-lidar.yaml), whose laser sees all around, are trained on seed

@@ -63,7 +63,7 @@ class PassiveSafety(Safety):
             raise ValueError(f"obstacle_speed must be above 0 m/s, got {obstacle_speed}")
         self._angles, self._obstacle_speed = np.array(robot["angles"], dtype=float), obstacle_speed
         period = float(robot["control_period"])
-        # [s] until the command of the next step takes effect: a moving obstacle may be seen only then.
+        # [s] A motion may begin just after a scan, so the robot begins to brake with the command after the next one.
         self._reaction_time = float(self._model.delays[-1]) + 2.0 * period
         self._num_scans, self._num_places = math.ceil(_SCAN_AGE / period), math.ceil(_MEMORY / period)
 
@@ -99,7 +99,7 @@ class PassiveSafety(Safety):
         self._poses = np.concatenate((poses[:, None], self._poses[:, :-1]), axis=1)
         # Whoever stands close behind a robot must not hold it, nor let it come as close to what is ahead.
         drives_forward = np.minimum(commands[:, 0], robot_state.twist[:, 0]) > -0.01
-        shorter[drives_forward[:, None] & (np.cos(self._angles) < _BEHIND)] = np.inf
+        shorter[drives_forward[:, None] & (self._model.cos < _BEHIND)] = np.inf
         commands = np.where(stops[:, None], commands * (0.0, 1.0), commands)
         filtered = super().__call__(commands, robot_state._replace(ranges=shorter))
         self._reasons[stops] = OBSTACLE
