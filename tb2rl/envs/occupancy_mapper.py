@@ -24,9 +24,9 @@ _BORDER = 2.0  # [m] of the maps around the bounds of the worlds
 _MARGIN = 0.02  # [m] kept from points in addition to the robot's radius, because a map is not exact
 _NEAR = 0.35  # [m] from a robot or a goal: here, paths may use cells with too little room
 _NOISE = 0.08  # [m] of room that these cells may lack, because ranges are noisy
-_STANDING_STEPS = 50  # control steps on the spot after which the robot takes another way
+_STANDING_STEPS = 15  # control steps on the spot after which the robot takes another way
 _STANDING_RADIUS = 0.15  # [m] of the spot
-_ESCAPE_STEPS = 20  # control steps for which the robot leaves a spot
+_ESCAPE_STEPS = 30  # control steps for which the robot leaves a spot
 _ESCAPE_DISTANCE = 0.7  # [m]
 
 
@@ -40,8 +40,8 @@ class OccupancyMapper(EpisodeState):
     `inf_is_valid`, because dark surfaces reflect nothing. The robot knows its start, and then its odometry, which scan
     matching corrects; it knows no obstacles.
 
-    Where no path is left, the map is forgotten; a robot that stands for 5 s turns to the place with the most room
-    around it, before it follows its plan again (the recoveries of Nav2: clear the map, turn).
+    Where no path is left, the map is forgotten; a robot that stands for 1.5 s drives away from what is near, to the place
+    with the most room, before it follows its plan again (the recoveries of Nav2: clear the map, back up).
 
     Args:
         spec: The robot, its laser and the worlds, whose bounds determine the size of the maps.
@@ -241,15 +241,19 @@ def _free_surroundings(costs, clearance, row, column, least_clearance):
 
 @njit(cache=True)
 def _roomiest_point(clearance, grid, pose, radius):
-    """The point x, y [m] around a robot to which it can drive straight, and which has the most clearance."""
+    """The point x, y [m] around a robot with the most clearance, straight away from what is nearest to the robot.
+
+    The safety filter lets a robot come no closer to obstacles that are near, so no place on the way has less clearance.
+    """
+    row, column = _cell(grid, pose)
+    start_x, start_y, least = grid[2] + column * grid[4], grid[3] + row * grid[4], clearance[row, column]
     best, best_x, best_y = -1.0, pose[0], pose[1]
     for direction in range(16):
-        heading, least = pose[2] + direction * math.tau / 16, np.inf
+        heading = pose[2] + direction * math.tau / 16
         for step in range(1, int(_ESCAPE_DISTANCE / CELL_SIZE) + 1):
-            x, y = pose[0] + step * CELL_SIZE * math.cos(heading), pose[1] + step * CELL_SIZE * math.sin(heading)
+            x, y = start_x + step * CELL_SIZE * math.cos(heading), start_y + step * CELL_SIZE * math.sin(heading)
             row, column = _cell(grid, (x, y))
-            least = min(least, clearance[row, column]) if step > 2 else least
-            if least < radius:
+            if clearance[row, column] < (least if step <= 2 else max(least, radius)):
                 break
             if clearance[row, column] >= best:  # clearances are limited, so take the farthest
                 best, best_x, best_y = clearance[row, column], x, y

@@ -23,7 +23,8 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.envs.filters import SensedState
-from tb2rl.envs.safety import OBSTACLE, Safety
+from tb2rl.envs.safe_motion import OBSTACLE
+from tb2rl.envs.safety import Safety
 
 _SCAN_AGE = 0.6  # [s] of the earlier scan
 _LEAST_MOTION = 0.15  # [m] by which the earlier scan saw past a moving point

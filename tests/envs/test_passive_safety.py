@@ -8,7 +8,7 @@ import pytest
 
 from tb2rl import evaluate
 from tb2rl.core.errors import InputError
-from tb2rl.envs import passive_safety, safety
+from tb2rl.envs import passive_safety, safe_motion, safety
 from tb2rl.envs.filters import SensedState
 from tb2rl.envs.parts import robot_facts
 from tb2rl.envs.passive_safety import PassiveSafety
@@ -134,7 +134,7 @@ def test_compiled_and_plain_code_decide_alike(make_filter, monkeypatch):
     random = np.random.default_rng(3)
     crowds = np.clip(np.cumsum(random.normal(0.0, 0.08, (60, 3, 2)), axis=0) + [[1, 0], [0.5, 1], [0.5, -1]], 0.4, 3)
     commands = [ask(*people) for people in crowds]
-    for module in (passive_safety, safety):
+    for module in (passive_safety, safe_motion, safety):
         for name in vars(module):
             if hasattr(getattr(module, name), "py_func"):
                 monkeypatch.setattr(module, name, getattr(module, name).py_func)

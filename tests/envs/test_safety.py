@@ -9,7 +9,7 @@ import pytest
 
 from tb2rl import evaluate
 from tb2rl.core.errors import InputError
-from tb2rl.envs import safety
+from tb2rl.envs import safe_motion, safety
 from tb2rl.envs.control_loop import SeededLoop
 from tb2rl.envs.filters import SensedState
 from tb2rl.envs.parts import robot_facts
@@ -22,7 +22,8 @@ RNG = np.random.default_rng(0)
 GUARANTEED = {"safety": {"setting": "guaranteed"}}
 MIXED = {"generator": "mixed", "worlds": 50}
 ONLY_TOUCHES = {"world": MIXED, "collision_range": 0.0, "start_clearance": 0.25, "beams": 60}
-_COMPILED = [name for name in vars(safety) if hasattr(getattr(safety, name), "py_func")]
+_COMPILED = [(module, name) for module in (safe_motion, safety) for name in vars(module)]
+_COMPILED = [(module, name) for module, name in _COMPILED if hasattr(getattr(module, name), "py_func")]
 
 
 def drive_full_speed_at_the_nearest(scene, robot_state):
@@ -85,15 +86,15 @@ def test_a_good_policy_is_left_alone(setting):
     assert evaluation.summary()["mean_filtered"] < 3.0
 
 
-def make_filter(setting="usual", **changes):
+def make_filter(setting="usual", scans=1, **changes):
     """A safety filter for one robot with a laser all around, and a function that filters one command."""
     task = replace(Drive(variation="none", beams=121), **changes)
     scene = make_scene(task, "raw")
-    safety_filter = Safety(robot_facts(task, scene.spec), setting)
+    safety_filter = Safety(robot_facts(task, scene.spec), setting, scans=scans)
     safety_filter.reset(1)
 
-    def ask(command, ranges, twist=(0.0, 0.0), age=0.0):
-        arrays = [np.array([each], dtype=float) for each in (ranges, (0.0, 0.0, 0.0), twist)]
+    def ask(command, ranges, twist=(0.0, 0.0), age=0.0, pose=(0.0, 0.0, 0.0)):
+        arrays = [np.array([each], dtype=float) for each in (ranges, pose, twist)]
         sensed_state = SensedState(*arrays, np.array([False]), np.array([twist]), np.array([age]))
         (filtered,) = safety_filter(np.array([command], dtype=float), sensed_state)
         return filtered.tolist(), safety_filter.reason(0)
@@ -146,6 +147,50 @@ def test_late_scans_and_late_commands_cost_speed():
     assert slow((0.6, 0.0), wall_ahead(angles, 0.5), twist=(0.4, 0.0))[0][0] < prompt
 
 
+def test_kept_scans_hold_a_robot_whose_latest_ranges_are_too_long():
+    ask, angles = make_filter(scans=2)
+    near, far = wall_ahead(angles, 0.2), wall_ahead(angles, 1.0)
+    assert ask((0.5, 0.0), near)[0][0] < 0.01
+    assert ask((0.5, 0.0), far)[0][0] < 0.01, "the scan before saw the wall"
+    assert ask((0.5, 0.0), far)[0][0] == 0.5, "both scans see the wall far away"
+    forgetful, _ = make_filter()
+    forgetful((0.5, 0.0), near)
+    assert forgetful((0.5, 0.0), far)[0][0] == 0.5
+
+
+def test_the_points_of_kept_scans_stay_where_they_are_while_the_robot_drives_and_turns():
+    free, command, start = np.full(121, np.inf), (0.5, 0.0), (3.0, -2.0, 0.7)
+
+    def drives(ahead, turn):
+        """Whether a robot may drive after a wall 0.6 m ahead, a way straight ahead [m], and a turn on the spot."""
+        ask, angles = make_filter(scans=2)
+        ask((0.0, 0.0), wall_ahead(angles, 0.6), pose=start)
+        pose = (start[0] + ahead * math.cos(start[2]), start[1] + ahead * math.sin(start[2]), start[2] + turn)
+        return ask(command, free, pose=pose)[0] == list(command)
+
+    assert drives(0.0, 0.0)
+    assert not drives(0.39, 0.0)
+    assert not drives(0.39, 0.3)
+    assert drives(0.39, math.pi)
+
+
+def test_a_new_episode_begins_without_kept_scans():
+    task = Drive(variation="none", beams=121)
+    scene = make_scene(task, "raw")
+    safety_filter, command = Safety(robot_facts(task, scene.spec), scans=2), np.array([(0.5, 0.0)])
+    near = wall_ahead(scene.laser.angles, 0.2)[None]
+    state = SensedState(near, np.zeros((1, 3)), np.zeros((1, 2)), np.array([False]), np.zeros((1, 2)), np.zeros(1))
+    safety_filter.reset(1)
+    safety_filter(command, state)
+    saved, free = safety_filter.state(), state._replace(ranges=np.full_like(near, np.inf))
+    assert safety_filter(command, free)[0, 0] < 0.01
+    safety_filter.restore(saved)
+    assert safety_filter(command, free)[0, 0] < 0.01, "as after the scan of the wall"
+    safety_filter.restore(saved)
+    safety_filter.reset_at(np.array([0]))
+    assert safety_filter(command, free)[0, 0] == 0.5
+
+
 def test_the_bounds_of_guaranteed_are_those_of_the_variation():
     scene = make_scene(Drive(variation="strong"), "raw")
     facts, strong = robot_facts(scene.task, scene.spec), find_variation("strong")
@@ -164,6 +209,7 @@ def test_the_bounds_of_guaranteed_are_those_of_the_variation():
         ({"field_of_view": 2.0, "filters": (GUARANTEED,)}, "sees 180 degrees, not 115"),
         ({"filters": ({"safety": {"setting": "certain"}},)}, "usual or guaranteed, got 'certain'"),
         ({"filters": ({"safety": {"margin": -1.0}},)}, "margin at least 0 m"),
+        ({"filters": ({"safety": {"scans": 0}},)}, "scans must be from 1 to 10, got 0"),
     ],
 )
 def test_a_laser_or_a_setting_that_does_not_fit_is_named(settings, message):
@@ -176,8 +222,8 @@ def without_numba(monkeypatch):
     """A function that runs the filter as a robot without numba does."""
 
     def run():
-        for name in _COMPILED:
-            monkeypatch.setattr(safety, name, getattr(safety, name).py_func)
+        for module, name in _COMPILED:
+            monkeypatch.setattr(module, name, getattr(module, name).py_func)
 
     return run
 
@@ -194,13 +240,16 @@ def without_numba(monkeypatch):
 def test_compiled_and_plain_code_decide_alike(setting, variation, count, without_numba):
     scene = make_scene(Drive(variation=variation, beams=60), "raw")
     rng, model = np.random.default_rng(7), Safety(robot_facts(scene.task, scene.spec), setting)._model
-    distances = rng.uniform(0.15, 1.5, (count, 1)) * rng.uniform(0.7, 1.5, (count, 60))
-    ranges = np.where(rng.random((count, 60)) < 0.05, np.inf, distances)
+    distances = rng.uniform(0.15, 1.5, (count, 1, 1)) * rng.uniform(0.7, 1.5, (count, 2, 60))
+    scans, poses = (
+        np.where(rng.random(distances.shape) < 0.05, np.inf, distances),
+        rng.uniform(-0.1, 0.1, (count, 2, 3)),
+    )
     velocities = rng.uniform((0.0, -2.0), (0.65, 2.0), (2, count, 2))
     ages, issued = rng.choice([0.0, 0.2], count), rng.uniform((0.0, -2.0), (0.65, 2.0), (count, 5, 2))
-    compiled = safety._filter_commands(model, velocities[0], ranges, velocities[1], ages, issued)
+    compiled = safe_motion.filter_commands(model, velocities[0], scans, poses, velocities[1], ages, issued)
     without_numba()
-    plain = safety._filter_commands(model, velocities[0], ranges, velocities[1], ages, issued)
+    plain = safe_motion.filter_commands(model, velocities[0], scans, poses, velocities[1], ages, issued)
     np.testing.assert_allclose(compiled[0], plain[0], atol=1e-9)
     np.testing.assert_array_equal(compiled[1], plain[1])
     assert 0.05 < (compiled[1] > 0).mean() < 0.95
