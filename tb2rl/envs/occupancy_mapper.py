@@ -40,8 +40,8 @@ class OccupancyMapper(EpisodeState):
     `inf_is_valid`, because dark surfaces reflect nothing. The robot knows its start, and then its odometry, which scan
     matching corrects; it knows no obstacles.
 
-    Where no path is left, the map is forgotten; a robot that stands for 1.5 s drives away from what is near, to the place
-    with the most room, before it follows its plan again (the recoveries of Nav2: clear the map, back up).
+    Where no path is left, the map is forgotten; a robot that stands for 1.5 s drives away from what is near, to the
+    place with the most room, before it follows its plan again (the recoveries of Nav2: clear the map, back up).
 
     Args:
         spec: The robot, its laser and the worlds, whose bounds determine the size of the maps.
