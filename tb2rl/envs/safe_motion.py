@@ -36,7 +36,6 @@ class RobotModel(NamedTuple):
     outer: float  # [m] distance that the robot keeps if it can
     half_field: float  # [rad] half of the field of view; pi if the laser sees all around
     edge: tuple[float, float]  # its cosine and sine
-    takes_median: bool
 
 
 @njit(cache=True, error_model="numpy")

@@ -86,9 +86,8 @@ class Safety(Filter):
             outer=distance + values["margin"],
             half_field=half_field,
             edge=(math.cos(half_field), math.sin(half_field)),
-            takes_median=setting == "usual",
         )
-        self._num_scans = scans
+        self._takes_median, self._num_scans = setting == "usual", scans
         self._memory_length = 1 + math.ceil((values["latency"] + _MAX_AGE) / period)
 
     def reset(self, num_envs: int) -> None:
@@ -111,7 +110,7 @@ class Safety(Filter):
 
     def __call__(self, commands: np.ndarray, robot_state: SensedState) -> np.ndarray:
         """Filter commands, see `Filter.__call__`."""
-        ranges = median_of_three(robot_state.ranges) if self._model.takes_median else robot_state.ranges
+        ranges = median_of_three(robot_state.ranges) if self._takes_median else robot_state.ranges
         self._kept_scans = _prepend(ranges, self._kept_scans)
         self._kept_poses = _prepend(robot_state.pose, self._kept_poses)
         sensed = self._kept_scans, self._kept_poses, robot_state.twist, robot_state.age
