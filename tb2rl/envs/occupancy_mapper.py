@@ -41,7 +41,7 @@ class OccupancyMapper(EpisodeState):
     matching corrects; it knows no obstacles.
 
     Where no path is left, the map is forgotten; a robot that stands for 1.5 s drives away from what is near, to the
-    place with the most room, before it follows its plan again (the recoveries of Nav2: clear the map, back up).
+    place with the most room, before it follows its plan again (as the recoveries of Nav2: clear the map, back up).
 
     Args:
         spec: The robot, its laser and the worlds, whose bounds determine the size of the maps.
