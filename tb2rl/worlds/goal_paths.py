@@ -31,7 +31,8 @@ class GoalPaths:
 
     A goal is identified by the index of its world and by its number there: `OWN_GOAL`, or 1 to `RANDOM_GOALS`. Random
     goals are the same in every process. The paths to a goal are computed at its first use, in parallel if there are
-    several worlds.
+    several worlds. If further goals are needed later, as many are computed as there were before, because two cores
+    compute many paths at once in half the time.
     """
 
     def __init__(self, worlds: Sequence[World], radius: float) -> None:
@@ -68,8 +69,17 @@ class GoalPaths:
         indices = worlds * (RANDOM_GOALS + 1) + goal_numbers
         is_missing = self._lengths.first_rows[indices] < 0
         if is_missing.any():  # `unique` is slow, and this runs in every step
-            self._compute_paths(np.unique(indices[is_missing]))
+            self._compute_paths(self._with_next_goals(np.unique(indices[is_missing])))
         return indices
+
+    def _with_next_goals(self, indices: np.ndarray) -> np.ndarray:
+        """Missing goals, and the missing ones after them that are likely to be used next; ascending indices."""
+        missing = np.flatnonzero(self._lengths.first_rows < 0)
+        are_own = missing % (RANDOM_GOALS + 1) == OWN_GOAL
+        likely = missing[are_own == (indices[-1] % (RANDOM_GOALS + 1) == OWN_GOAL)]
+        count = len(self._lengths.first_rows) - len(missing) - len(indices)
+        first = np.searchsorted(likely, indices[-1], side="right")
+        return np.unique(np.concatenate([indices, np.roll(likely, -first)[: max(count, 0)]]))
 
     def _compute_paths(self, indices: np.ndarray) -> None:
         """Compute the paths to the goals with these indices, in ascending order."""

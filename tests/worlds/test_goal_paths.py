@@ -89,6 +89,18 @@ def test_paths_depend_neither_on_the_count_of_threads_nor_on_other_goals(monkeyp
     np.testing.assert_array_equal(goals[0], goals[2])
 
 
+def test_goals_that_are_needed_one_by_one_are_computed_in_few_batches_of_their_kind(monkeypatch):
+    batches, compute = [], GoalPaths._compute_paths
+    monkeypatch.setattr(GoalPaths, "_compute_paths", lambda self, goals: batches.append(goals) or compute(self, goals))
+    paths = GoalPaths(MIXED, ROBOT.radius)
+    for i in np.random.default_rng(0).permutation(10 * RANDOM_GOALS):
+        paths.goals(np.array([i // RANDOM_GOALS]), np.array([1 + i % RANDOM_GOALS]))
+    assert [len(batch) for batch in batches] == [1, 1, 2, 4, 8, 16, 8]
+    for world in range(10):
+        paths.goals(np.array([world]), np.array([OWN_GOAL]))
+    assert [len(batch) for batch in batches[7:]] == [10], "own goals are not computed before one is needed"
+
+
 def test_an_error_in_a_thread_is_raised_and_other_worlds_have_paths():
     too_large = World.from_shapes("large", start=(1.0, 1.0, 0.0), goal=(2.0, 1.0, 0.0), bounds=(0.0, 0.0, 1e4, 1e4))
     paths, goals = GoalPaths([OPEN, too_large, WALL], ROBOT.radius), np.full(3, OWN_GOAL)
