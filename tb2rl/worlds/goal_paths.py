@@ -31,8 +31,8 @@ class GoalPaths:
 
     A goal is identified by the index of its world and by its number there: `OWN_GOAL`, or 1 to `RANDOM_GOALS`. Random
     goals are the same in every process. The paths to a goal are computed at its first use, in parallel if there are
-    several worlds. If further goals are needed later, as many are computed as there were before, because two cores
-    compute many paths at once in half the time.
+    several worlds. If further goals are needed later, and there are several threads, as many are computed as there were
+    before, because two cores compute many paths at once in half the time.
     """
 
     def __init__(self, worlds: Sequence[World], radius: float) -> None:
@@ -69,7 +69,8 @@ class GoalPaths:
         indices = worlds * (RANDOM_GOALS + 1) + goal_numbers
         is_missing = self._lengths.first_rows[indices] < 0
         if is_missing.any():  # `unique` is slow, and this runs in every step
-            self._compute_paths(self._with_next_goals(np.unique(indices[is_missing])))
+            missing = np.unique(indices[is_missing])
+            self._compute_paths(self._with_next_goals(missing) if THREADS > 1 else missing)
         return indices
 
     def _with_next_goals(self, indices: np.ndarray) -> np.ndarray:

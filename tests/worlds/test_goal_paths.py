@@ -3,7 +3,6 @@
 import math
 import pickle
 
-import numba
 import numpy as np
 import pytest
 
@@ -78,7 +77,7 @@ def test_paths_depend_neither_on_the_count_of_threads_nor_on_other_goals(monkeyp
     starts = np.array([MIXED[i].start[:2] for i in worlds])
     lengths, goals = [], []
     for threads, order in ((1, np.arange(50)), (4, np.arange(50)), (4, np.arange(50)[::-1])):
-        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
+        monkeypatch.setattr("tb2rl.worlds.goal_paths.THREADS", threads)
         paths = GoalPaths(MIXED, ROBOT.radius)
         for some in np.split(order, [1, 17, 18]):
             paths.path_length(worlds[some], numbers[some], starts[some])
@@ -90,6 +89,7 @@ def test_paths_depend_neither_on_the_count_of_threads_nor_on_other_goals(monkeyp
 
 
 def test_goals_that_are_needed_one_by_one_are_computed_in_few_batches_of_their_kind(monkeypatch):
+    monkeypatch.setattr("tb2rl.worlds.goal_paths.THREADS", 2)
     batches, compute = [], GoalPaths._compute_paths
     monkeypatch.setattr(GoalPaths, "_compute_paths", lambda self, goals: batches.append(goals) or compute(self, goals))
     paths = GoalPaths(MIXED, ROBOT.radius)
@@ -99,6 +99,11 @@ def test_goals_that_are_needed_one_by_one_are_computed_in_few_batches_of_their_k
     for world in range(10):
         paths.goals(np.array([world]), np.array([OWN_GOAL]))
     assert [len(batch) for batch in batches[7:]] == [10], "own goals are not computed before one is needed"
+    monkeypatch.setattr("tb2rl.worlds.goal_paths.THREADS", 1)
+    paths = GoalPaths(MIXED, ROBOT.radius)
+    for world in range(10):
+        paths.goals(np.array([world]), np.array([1]))
+    assert [len(batch) for batch in batches[8:]] == [1] * 10, "one thread gains nothing by batches"
 
 
 def test_an_error_in_a_thread_is_raised_and_other_worlds_have_paths():
