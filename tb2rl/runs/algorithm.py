@@ -25,7 +25,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.envs.encodings import NUMBERS
 from tb2rl.envs.features import InverseRange
 from tb2rl.robots.vehicle import Vehicle
-from tb2rl.runs.arguments import LIBRARY_ERRORS, algorithm_arguments
+from tb2rl.runs.arguments import LIBRARY_ERRORS, algorithm_arguments, policy_class
 from tb2rl.runs.checkpoint import restore_like
 from tb2rl.runs.config import Config
 from tb2rl.tasks.actions import Velocities
@@ -46,12 +46,12 @@ def make_algorithm(config: Config, env: VecEnv | None = None) -> BaseAlgorithm:
     env = DummyVecEnv([partial(_SpacesOnlyEnv, config)] * train.n_envs) if env is None else env
     env = normalize(env, train.norm_obs, train.norm_reward)
     try:
+        arguments = algorithm_arguments(config.agent_arguments, config.scene.action_space)
         algorithm = agent.load()(
-            agent.policy,
-            env,
+            **arguments | {"policy": policy_class(agent) if ":" in agent.policy else agent.policy},
+            env=env,
             seed=train.seed,
             device=train.device if _has_device(train.device) else "cpu",  # so that policies load on any machine
-            **algorithm_arguments(config.agent_arguments, config.scene.action_space),
         )
     except LIBRARY_ERRORS as error:
         raise settings_error(config, str(error)) from None

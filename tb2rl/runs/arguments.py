@@ -26,7 +26,7 @@ LIBRARY_ERRORS = (  # errors of torch, numpy and Stable-Baselines3 for invalid v
     ValueError,
 )  # fmt: skip
 AGENT_RESERVED = {  # arguments of algorithms and baselines that users cannot set: tb2rl sets them or keeps defaults
-    "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model",
+    "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model",
     "observation_space", "action_space", "vehicle", "replay_buffer_class", "replay_buffer_kwargs",
     "rollout_buffer_class", "rollout_buffer_kwargs", "squash_output",
 }  # fmt: skip
@@ -36,10 +36,12 @@ _POLICY_RESERVED = {  # arguments of policies, features extractors and optimiser
 }  # fmt: skip
 
 
-def with_policy(agent: Agent, observation_space: spaces.Space) -> Agent:
-    """Replace `ANY_POLICY` by the policy of the agent's algorithm for the observation space."""
-    if agent.algorithm is None or agent.policy != ANY_POLICY:
+def with_policy(agent: Agent, observation_space: spaces.Space, policy: str | None = None) -> Agent:
+    """Replace the policy by another, or `ANY_POLICY` by the policy of the algorithm for the observation space."""
+    if agent.algorithm is None or (policy is None and agent.policy != ANY_POLICY):
         return agent
+    if policy is not None:
+        return replace(agent, policy=policy)
     prefixes: tuple[str, ...] = ("MultiInput",)  # in order of preference
     if not isinstance(observation_space, spaces.Dict):
         _channels, *sides = observation_space.shape or (0,)
@@ -50,6 +52,16 @@ def with_policy(agent: Agent, observation_space: spaces.Space) -> Agent:
     return replace(agent, policy=matching[0]) if matching else agent
 
 
+def policy_class(agent: Agent) -> type:
+    """The class of the policy of an agent that learns; raises an `InputError` if there is none of this name."""
+    aliases = getattr(agent.load(), "policy_aliases", {})
+    if agent.policy in aliases:
+        return aliases[agent.policy]
+    if ":" not in agent.policy:
+        raise unknown("agent.policy", agent.policy, aliases)
+    return _import_torch_class(agent.policy, "agent.policy")
+
+
 def checked_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Check the arguments of an agent's algorithm, or of its policy if the agent does not learn.
 
@@ -57,8 +69,10 @@ def checked_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, A
     """
     algorithm = agent.load()
     result = _checked_kwargs(algorithm, arguments, "agent", AGENT_RESERVED)
-    if agent.algorithm and result.get("policy_kwargs") is not None:
-        policy = algorithm.policy_aliases.get(agent.policy) or import_object(agent.policy)
+    if agent.algorithm is None or result.keys().isdisjoint({"policy", "policy_kwargs"}):
+        return result
+    policy = policy_class(agent)
+    if result.get("policy_kwargs") is not None:
         setting = "agent.policy_kwargs"
         # In a layer of the config, null resets a key of an earlier layer to the library's default.
         policy_kwargs = {key: value for key, value in result["policy_kwargs"].items() if value is not None}

@@ -135,7 +135,7 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     files = {"world": absolute_worlds(task.world), "robot": robot_setting(task.robot), "variation": variation}
     task = dataclasses.replace(task, **files)
     scene = make_scene(task, observation)  # raises an InputError if settings of the task contradict each other
-    agent = with_policy(agent, scene.observation_space)
+    agent = with_policy(agent, scene.observation_space, sections["agent"].get("policy"))
     arguments = checked_arguments(agent, sections["agent"])
     train = build(TrainSettings, sections["train"], "train")
     return Config(agent_name, arguments, task_name, task, observation, train, agent, scene)

@@ -7,7 +7,7 @@ from gymnasium import spaces
 
 from tb2rl.core.agent import Agent, find_agent
 from tb2rl.envs.features import InverseRange
-from tb2rl.runs.arguments import algorithm_arguments, checked_arguments, with_policy
+from tb2rl.runs.arguments import algorithm_arguments, checked_arguments, policy_class, with_policy
 
 DQN, PPO, SAC = (Agent(f"stable_baselines3:{name}") for name in ("DQN", "PPO", "SAC"))
 NEARNESS = "tb2rl.envs.features:InverseRange"
@@ -80,6 +80,25 @@ def test_action_noise_is_a_normal_distribution_for_every_number_of_an_action():
     drawn = np.array([made() for _ in range(2000)])
     assert drawn.std(axis=0) == pytest.approx([0.2, 0.2], rel=0.1)
     assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("policy", "named"),
+    [
+        ("MlpPolicies", ["agent.policy", "did you mean 'MlpPolicy'"]),
+        ("tb2rl.training.policies:Unbounded", ["agent.policy", "has no 'Unbounded'"]),
+        ("tb2rl.envs.scene:Scene", ["agent.policy", "neither a torch module"]),
+    ],
+)
+def test_an_unknown_policy_is_refused(policy, named, refused):
+    message = refused(policy_class, with_policy(PPO, spaces.Box(0.0, 1.0, (3,)), policy))
+    assert [part for part in named if part not in message] == [], message
+
+
+def test_a_rule_has_no_other_policy(refused):
+    rule = with_policy(find_agent("wallfollower"), spaces.Box(0.0, 1.0, (3,)), "MlpPolicy")
+    assert rule == find_agent("wallfollower")
+    assert "unknown key of agent 'policy'" in refused(checked_arguments, rule, {"policy": "MlpPolicy"})
 
 
 def test_an_image_beside_numbers_needs_a_policy_that_reads_both():

@@ -107,6 +107,7 @@ def test_a_repository_without_a_policy_is_refused(name, hub, shared, refused):
     [
         ("agent", "name", "os:system", "os"),
         ("agent", "policy_kwargs", {"features_extractor_class": "evil:Net"}, "evil"),
+        ("agent", "policy", "evil:Policy", "evil"),
         ("task", "name", "best.evil:Task", "best.evil"),
         ("task", "robot", "evil:ROBOT", "evil"),
         ("task", "observe", ["evil:Sensor"], "evil"),

@@ -28,6 +28,7 @@ AGENTS = {
     "DDPG": ("stable_baselines3:DDPG", "drive", {**BUFFER, **INVERSE_RANGE}),
     "SAC, gSDE": ("sac", "drive", {**BUFFER, "agent.use_sde": True}),
     "PPO, squashed": ("ppo", "drive", {"agent.use_sde": True, "agent.policy_kwargs.squash_output": True}),
+    "PPO, bounded": ("ppo", "drive", {"agent.policy": "tb2rl.training.policies:BoundedPolicy"}),
     "QR-DQN": ("sb3_contrib:QRDQN", "maze", {**BUFFER, **INVERSE_RANGE}),
     "TQC": ("sb3_contrib:TQC", "drive", {**BUFFER, **INVERSE_RANGE}),
     "TRPO": ("sb3_contrib:TRPO", "maze", INVERSE_RANGE),
