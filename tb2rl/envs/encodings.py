@@ -32,9 +32,12 @@ class SensorBox(spaces.Box):
         units: Unit of each number, such as "m" or "rad".
         names: Name of the sensor of each number.
         frame_stack: Number of stacked observations, the oldest first.
+        actor_space: Space without the privileged numbers at the end, which only the critic observes; None: all observe
+            the same.
     """
 
     frame_stack = 1
+    actor_space: SensorBox | None = None
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         low = np.concatenate([np.full(sensor.shape, sensor.low, np.float32) for sensor in sensors])

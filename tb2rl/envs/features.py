@@ -7,11 +7,12 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from tb2rl.core.errors import InputError
 
+_TIME_UNIT = np.float32(10.0)  # [s]
 MIN_DISTANCE = 0.1  # [m] shorter distances are raised to this one; no built-in laser reads less
 
 
 class InverseRange(BaseFeaturesExtractor):
-    """Encodes a distance d as spread * (1 / (offset + d) - middle), and scales other numbers to [-1, 1].
+    """Encodes a distance d as spread * (1 / (offset + d) - middle), a time in units of 10 s, other numbers in [-1, 1].
 
     The inverse resolves short distances better. Distances are the numbers of unit "m" with a lower limit of 0 or more,
     see `tb2rl.envs.encodings.SensorBox`. In a plain `Box`, which has no units, the limit alone decides.
@@ -39,7 +40,8 @@ class InverseRange(BaseFeaturesExtractor):
         units = getattr(observation_space, "units", ("m",) * observation_space.shape[0])
         distances = [unit == "m" and low >= 0 for unit, low in zip(units, observation_space.low, strict=True)]
         self.register_buffer("_is_distance", th.tensor(distances))
-        self.register_buffer("_largest", th.as_tensor(observation_space.high))
+        largest = np.where([unit == "s" for unit in units], _TIME_UNIT, observation_space.high)
+        self.register_buffer("_largest", th.as_tensor(largest))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         inverse = self.spread * (1.0 / (self.offset + observations.clamp(min=MIN_DISTANCE)) - self.middle)

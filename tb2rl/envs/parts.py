@@ -31,6 +31,7 @@ SENSORS: dict[str, tuple[type[Sensor], ...]] = {  # by name in `task.observe`
     "imu": (motion.YawRate, motion.ForwardAcceleration),
     "laser": (laser.LaserRanges,),
     "last_action": (motion.LastAction,),
+    "path_length": (goal.PathLength,),
     "twist": (motion.ForwardSpeed, motion.TurnRate),
     "visited": (motion.Visited,),
     "waypoint": (goal.Waypoint,),
@@ -38,43 +39,45 @@ SENSORS: dict[str, tuple[type[Sensor], ...]] = {  # by name in `task.observe`
 }
 
 
-def observed_sensors(task: Task, task_sensors: tuple[Sensor, ...], spec: SimulationSpec) -> tuple[Sensor, ...]:
-    """The sensors in `task.observe`, or `task_sensors` if `task.observe` is None.
+def find_sensors(
+    entries: Sequence[Any], setting: str, task: Task, task_sensors: tuple[Sensor, ...], spec: SimulationSpec
+) -> tuple[Sensor, ...]:
+    """The sensors in a setting, such as `task.observe`.
 
     An entry with arguments makes a new sensor. An entry without arguments selects the task's own sensor of its class,
     from `task_sensors` or else from `task.available_sensors`; if there is none, it makes one with default settings.
 
     Args:
+        entries: The value of the setting.
+        setting: Name of the setting.
         task: The task.
-        task_sensors: The result of `task.sensors`.
+        task_sensors: The task's own sensors.
         spec: The robot and the worlds.
 
     Raises:
         InputError: If a name is unknown, an argument is invalid, or a sensor is listed twice.
     """
-    if task.observe is None:
-        return task_sensors
     configured = {type(sensor): sensor for sensor in reversed([*task_sensors, *task.available_sensors(spec)])}
     scene_parts = {"robot": spec.robot, "laser": spec.laser, "camera": spec.robot.camera, "worlds": spec.worlds}
     sensors: list[Sensor] = []
-    for name, arguments in _entries(task.observe):
+    for name, arguments in _entries(entries):
         if ":" not in name and name not in SENSORS:
-            raise unknown("sensor of task.observe:", name, SENSORS)
-        label = f"task.observe: {name!r}"
+            raise unknown(f"sensor of {setting}:", name, SENSORS)
+        label = f"{setting}: {name!r}"
         classes = (_checked_class(import_object(name), Sensor, label),) if ":" in name else SENSORS[name]
         if arguments and len(classes) > 1:
             references = " and ".join(f"{cls.__module__}:{cls.__name__}" for cls in classes)
-            raise InputError(f"task.observe.{name} is several sensors; give arguments to {references} instead")
+            raise InputError(f"{setting}.{name} is several sensors; give arguments to {references} instead")
         for cls in classes:
             if cls in configured and not arguments:
                 sensors.append(configured[cls])
             else:
                 given = {key: scene_parts[key] for key in inspect.signature(cls).parameters if key in scene_parts}
-                sensors.append(make_part(cls, arguments, f"task.observe.{name}", given))
+                sensors.append(make_part(cls, arguments, f"{setting}.{name}", given))
     names = [sensor.name for sensor in sensors]
     duplicates = [name for name in names if names.count(name) > 1]
     if duplicates:
-        raise InputError(one_line(f"task.observe: sensor {duplicates[0]!r} is listed twice"))
+        raise InputError(one_line(f"{setting}: sensor {duplicates[0]!r} is listed twice"))
     return tuple(sensors)
 
 
@@ -179,7 +182,9 @@ def checked_task_parts(task: Task, spec: SimulationSpec) -> tuple[Actions, tuple
         for sensor in task_sensors:
             hint = f": write {sensor.__name__}()" if isinstance(sensor, type) else ""
             _require(isinstance(sensor, Sensor), f"{where}: sensors must return sensors{hint}", sensor)
-        sensors = observed_sensors(task, tuple(task_sensors), spec)
+        sensors = tuple(task_sensors)
+        if task.observe is not None:
+            sensors = find_sensors(task.observe, "task.observe", task, sensors, spec)
         for sensor in sensors:
             _check_sensor(sensor, robot_state)
         action = np.zeros((_NUM_ENVS, *(actions.space.shape or ())), actions.space.dtype)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -11,12 +11,12 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.core.errors import InputError, unknown
-from tb2rl.envs.encodings import DEFAULT_BEAMS, Encoding, has_images, make_encoding
+from tb2rl.envs.encodings import DEFAULT_BEAMS, Encoding, SensorBox, has_images, make_encoding
 from tb2rl.envs.episode_state import CommandHistory, EpisodeState, PositionHistory
 from tb2rl.envs.filters import Filter
 from tb2rl.envs.observation_pipeline import ObservationPipeline, stacked_space
 from tb2rl.envs.occupancy_mapper import OccupancyMapper
-from tb2rl.envs.parts import checked_task_parts, task_filters
+from tb2rl.envs.parts import checked_task_parts, find_sensors, task_filters
 from tb2rl.envs.worlds import are_generated, find_worlds, worlds_title
 from tb2rl.robots import Laser, Robot
 from tb2rl.robots.robot import find_robot
@@ -124,6 +124,24 @@ class Scene:
         """Raise an `InputError` if a simulator lacks the data of a sensor."""
         for sensor in self.sensors:
             sensor.check(simulator)
+
+    def with_privileged_sensors(self, names: Sequence[Any]) -> Scene:
+        """A copy for a training whose critic also observes these sensors, given as in `task.observe`.
+
+        Its observations end with their numbers, and `observation_space.actor_space` is the space without them.
+
+        Raises:
+            InputError: If there is no such sensor, or the observations are not a single vector of numbers.
+        """
+        space = self.observation_space
+        if not isinstance(space, SensorBox) or self.task.frame_stack > 1:
+            raise InputError("train.privileged needs task.observation=raw without images, and task.frame_stack=1")
+        sensors = *self.sensors, *find_sensors(names, "train.privileged", self.task, self.sensors, self.spec)
+        encoding = make_encoding(self.observation, sensors)
+        if not isinstance(encoding.space, SensorBox):
+            raise InputError("train.privileged: images are no numbers, which the critic needs")
+        encoding.space.actor_space = space
+        return replace(self, sensors=sensors, encoding=encoding, observation_space=encoding.space)
 
     def with_time_limit(self, steps: int) -> Scene:
         """A copy of the scene with another time limit [control steps]."""

@@ -60,6 +60,8 @@ def make_algorithm(config: Config, env: VecEnv | None = None) -> BaseAlgorithm:
             f"agent {config.agent_name} cannot be saved: its {type(algorithm.policy).__name__} has no torch parameters "
             "(SBX uses JAX); take an algorithm of Stable-Baselines3 or sb3-contrib"
         )
+    if train.privileged and algorithm.policy.observation_space == env.observation_space:
+        raise InputError("train.privileged needs agent.policy=tb2rl.training.policies:AsymmetricPolicy")
     adapt_normalization(algorithm)
     return algorithm
 
@@ -127,7 +129,7 @@ class _SpacesOnlyEnv(gym.Env):
     """An environment that has the spaces of a config, but no simulation."""
 
     def __init__(self, config: Config) -> None:
-        self.observation_space, self.action_space = config.scene.observation_space, config.scene.action_space
+        self.observation_space, self.action_space = config.training_scene.observation_space, config.scene.action_space
 
 
 def normalize(env: VecEnv, norm_obs: bool, norm_reward: bool) -> VecEnv:
@@ -152,6 +154,8 @@ def adapt_normalization(algorithm: BaseAlgorithm) -> None:
     env = algorithm.get_vec_normalize_env()
     if env is None:
         return
+    if env.norm_obs and algorithm.policy.observation_space != algorithm.observation_space:
+        raise InputError("train.norm_obs does not work with train.privileged")
     env.gamma = getattr(algorithm, "gamma", env.gamma)
     if env.norm_obs and any(isinstance(module, InverseRange) for module in algorithm.policy.modules()):
         raise InputError(

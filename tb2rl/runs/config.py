@@ -18,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
@@ -27,7 +28,7 @@ from pydantic_core import to_jsonable_python
 from tb2rl.core import Agent, InputError, check_file_allowed, find_agent, one_line, reference_to
 from tb2rl.core.files import find_file, parse_yaml, read_yaml, top_folder
 from tb2rl.core.processes import processors
-from tb2rl.core.values import Count, CountOrZero, Fraction, Names, build
+from tb2rl.core.values import Count, CountOrZero, Fraction, Names, PluginNames, build
 from tb2rl.envs.scene import Scene, make_scene, with_robot_settings
 from tb2rl.envs.worlds import absolute_worlds, paths_in
 from tb2rl.robots.robot_file import robot_setting, variation_setting
@@ -77,6 +78,7 @@ class TrainSettings:
     stop_evaluations: Count = 2  # number of consecutive evaluations that must reach stop_score
     save_freq: CountOrZero = 50_000  # [control steps] between checkpoints; 0: only the last
     keep: Count = 2  # number of latest checkpoints to keep
+    privileged: PluginNames = ()  # sensors that only the critic observes, with a policy such as AsymmetricPolicy
     track: Names = ()  # trackers beside TensorBoard: mlflow, wandb or module:Class
 
     def with_thread_count(self) -> TrainSettings:
@@ -99,6 +101,12 @@ class Config:
     train: TrainSettings
     agent: Agent = field(compare=False, repr=False)  # with the policy for the observation space, see `with_policy`
     scene: Scene = field(compare=False, repr=False)  # the environment that the task's settings describe
+
+    @cached_property
+    def training_scene(self) -> Scene:
+        """The scene with the privileged sensors of the training."""
+        privileged = self.train.privileged
+        return self.scene.with_privileged_sensors(privileged) if privileged else self.scene
 
     def to_dict(self) -> dict[str, Any]:
         """The tree of plain values, which `config_from` converts back."""

@@ -65,6 +65,7 @@ def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
             raise InputError(f"{file}: {error}") from None
     load_parameters(algorithm, {**content, "training": None}, file)  # without the state to resume from
     algorithm.policy = policy_with_normalization(algorithm)
+    algorithm.observation_space = algorithm.policy.observation_space  # without privileged sensors
     if env := algorithm.get_vec_normalize_env():
         env.training = False
     algorithm.trained_with = config  # type: ignore[attr-defined]

@@ -62,6 +62,18 @@ def _bearing(robot_state: RobotState) -> np.ndarray:
     return np.arctan2(y, x) - robot_state.odometry[:, 2]
 
 
+class PathLength(Sensor):
+    """Length of the shortest path to the goal [m], by the map of the world, with `bins` [m]."""
+
+    name, unit, low, high = "path length", "m", 0.0, 100.0
+
+    def __init__(self, bins: Bins = DISTANCE_BINS) -> None:
+        self.bins = bins
+
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return robot_state.path_length[:, None]
+
+
 class Waypoint(Sensor):
     """The lookahead point on the planned path, x ahead and y to the left of the robot [m].
 

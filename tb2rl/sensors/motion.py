@@ -114,11 +114,12 @@ class LastAction(Sensor):
 
 
 class Visited(Sensor):
-    """Time spent near points around the robot in the last minute, clipped to 10 s, by odometry; a memory for policies.
+    """Time spent near points around the robot in the last minute, by odometry; a memory for policies.
 
     The points are on a circle, counter-clockwise from straight ahead, then at the robot's position, then on a circle of
     twice the radius. A policy can prefer new places by these times, as in node counting (Koenig & Szymanski 1999,
-    "Value-update rules for real-time search").
+    "Value-update rules for real-time search"). Where a robot stands, the number at its position grows, so that its
+    actions change at last.
 
     Args:
         count: Number of points on each circle.
@@ -129,7 +130,7 @@ class Visited(Sensor):
         near: Largest distance from a point at which time is counted [m].
     """
 
-    name, unit, low, high = "visited", "s", 0.0, 10.0
+    name, unit, low, high = "visited", "s", 0.0, 60.0
     bins = (1.0, 3.0)
     reads_position_history = True
 

@@ -122,7 +122,8 @@ def train_config(
     trackers = find_trackers(settings.track, untrusted_folder=folder if checkpoint else None)
     with translate_resource_errors(folder), ExitStack() as resources:
         resources.enter_context(torch_settings(int(settings.torch_threads), settings.matmul_precision))
-        scene = config.scene.with_time_limit(settings.episode_steps) if settings.episode_steps else config.scene
+        scene = config.training_scene
+        scene = scene.with_time_limit(settings.episode_steps) if settings.episode_steps else scene
         simulator = find_simulator(settings.simulation)
         simulator.check(purpose=f"a training in simulation {settings.simulation!r}")
         env = TurtleBot2VecEnv(scene, settings.n_envs, settings.reward_scale, simulator)

@@ -5,8 +5,10 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
+from tb2rl.envs.encodings import SensorBox
 from tb2rl.envs.features import InverseRange
 from tb2rl.envs.scene import make_scene
+from tb2rl.sensors.motion import Visited
 from tb2rl.tasks.reach_goal import ReachGoal
 
 
@@ -19,6 +21,10 @@ def test_distances_become_nearness_and_other_numbers_are_scaled():
     assert space.units == ("m", "m", "m", "rad")
     seen = features(space, [0.5, 3.0, 1.0, np.pi / 2])
     assert seen == pytest.approx([1 / 1.5, 1 / 4, 1 / 2, 0.5])
+
+
+def test_a_time_counts_in_units_of_ten_seconds():
+    assert features(SensorBox([Visited(count=1)]), [1.0, 10.0, 60.0]) == pytest.approx([0.1, 1.0, 6.0])
 
 
 def test_numbers_of_a_plain_box_are_distances_but_for_those_with_a_sign_and_the_curve_has_arguments():

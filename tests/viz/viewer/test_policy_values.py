@@ -38,6 +38,14 @@ def test_probabilities_add_up_to_one():
     assert sum(found.scores.values()) == pytest.approx(1.0)
 
 
+def test_a_critic_that_observes_privileged_sensors_has_no_value_without_them():
+    policy = {"agent.policy": "tb2rl.training.policies:AsymmetricPolicy", "train.privileged": ["bumper"]}
+    config = resolve("ppo", "drive", settings=policy)
+    found = policy_values(make_algorithm(config).policy, config.scene.observation_space.sample(), config.scene.actions)
+    assert found.meaning == COMMAND
+    assert np.isnan(found.value)
+
+
 def test_a_policy_that_computes_none_has_none():
     config = resolve("wallfollower", "maze")
     assert policy_values(make_baseline(config), config.scene.observation_space.sample(), config.scene.actions) is None
