@@ -62,6 +62,8 @@ def make_algorithm(config: Config, env: VecEnv | None = None) -> BaseAlgorithm:
         )
     if train.privileged and algorithm.policy.observation_space == env.observation_space:
         raise InputError("train.privileged needs agent.policy=tb2rl.training.policies:AsymmetricPolicy")
+    if train.privileged and train.norm_obs:
+        raise InputError("train.norm_obs does not work with train.privileged")
     adapt_normalization(algorithm)
     return algorithm
 
@@ -154,8 +156,6 @@ def adapt_normalization(algorithm: BaseAlgorithm) -> None:
     env = algorithm.get_vec_normalize_env()
     if env is None:
         return
-    if env.norm_obs and algorithm.policy.observation_space != algorithm.observation_space:
-        raise InputError("train.norm_obs does not work with train.privileged")
     env.gamma = getattr(algorithm, "gamma", env.gamma)
     if env.norm_obs and any(isinstance(module, InverseRange) for module in algorithm.policy.modules()):
         raise InputError(

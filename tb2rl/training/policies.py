@@ -63,5 +63,5 @@ class AsymmetricPolicy(BoundedPolicy):
     def predict_values(self, obs: Any) -> th.Tensor:
         """Values of observations, shape (n, 1); NaN without the privileged numbers."""
         if self._is_asymmetric and obs.shape[1] == self._num_actor_numbers:
-            return th.full((len(obs), 1), th.nan)
+            return obs.new_full((len(obs), 1), th.nan)
         return super().predict_values(obs)

@@ -83,7 +83,8 @@ def values(drive: Drive) -> str:
         for name, score in found.scores.items()
     )
     value = f"<p>{_EXPECTED}: <b>{found.value:.3g}</b></p>"
-    if found.meaning == ACTION_VALUES or math.isnan(found.value):  # the largest of them, or of a privileged critic
+    # It is the largest action value, or NaN because a critic observes privileged sensors.
+    if found.meaning == ACTION_VALUES or math.isnan(found.value):
         value = ""
     text, observation = html.escape(found.meaning[0].upper() + found.meaning[1:]), _describe(drive)
     return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>{observation}</p></div>"
