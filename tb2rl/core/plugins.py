@@ -25,6 +25,7 @@ _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)  #
 
 FILTERS = {
     "passive_safety": "tb2rl.envs.passive_safety:PassiveSafety",
+    "recovery": "tb2rl.envs.recovery:Recovery",
     "safety": "tb2rl.envs.safety:Safety",
     "speed_limits": "tb2rl.envs.filters:SpeedLimits",
 }

@@ -29,7 +29,7 @@ _MODULES = (  # each after the modules that it imports
     "termination", "main",
 )  # fmt: skip
 _PACKED_IMPORT = re.compile(  # imports of the program's own modules, and of __future__, which `_HEADER` has
-    r"^from (?:\.\w*|__future__|tb2rl\.core\.compiled|tb2rl\.envs\.(?:filters|safe_motion|\w*safety)) import "
+    r"^from (?:\.\w*|__future__|tb2rl\.core\.compiled|tb2rl\.envs\.(?:filters|safe_motion|\w*safety|recovery)) import "
     r"(?:\([^)]*\))?.*\n+",
     re.MULTILINE,
 )

@@ -37,7 +37,12 @@ class Filter:
 
     Filters run in order, once per control step, in simulation and on robots. A filter with a memory also overrides
     `reset`, `reset_at`, `state` and `restore`.
+
+    Attributes:
+        acts_in_training: Whether it also acts while a policy learns.
     """
+
+    acts_in_training = True
 
     def reset(self, num_envs: int) -> None:
         """Start a new episode in each environment."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tb2rl.core import InputError, find_plugin, import_object, make_part, one_line, unknown
-from tb2rl.envs import filters, passive_safety, safe_motion, safety
+from tb2rl.envs import filters, passive_safety, recovery, safe_motion, safety
 from tb2rl.envs.filters import Filter
 from tb2rl.sensors import Sensor, camera, goal, laser, motion
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
@@ -18,7 +18,8 @@ from tb2rl.simulation.random_streams import GeneratorSource
 from tb2rl.tasks import Actions, Outcome, Task
 
 # In every exported policy, in this order.
-PORTABLE_FILTERS = tuple(Path(inspect.getfile(module)) for module in (filters, safe_motion, safety, passive_safety))
+_PORTABLE = filters, safe_motion, safety, passive_safety, recovery
+PORTABLE_FILTERS = tuple(Path(inspect.getfile(module)) for module in _PORTABLE)
 _GRIP = 0.85  # share of the motors' deceleration that a robot has in every direction
 _NUM_ENVS = 2  # of a dry run; with one, `if after.bumped` and arrays of a fixed length of 1 would pass
 

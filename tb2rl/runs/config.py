@@ -104,9 +104,10 @@ class Config:
 
     @cached_property
     def training_scene(self) -> Scene:
-        """The scene with the privileged sensors of the training."""
-        privileged = self.train.privileged
-        return self.scene.with_privileged_sensors(privileged) if privileged else self.scene
+        """The scene with the privileged sensors and the filters of the training."""
+        filters = tuple(command_filter for command_filter in self.scene.filters if command_filter.acts_in_training)
+        scene = dataclasses.replace(self.scene, filters=filters)
+        return scene.with_privileged_sensors(self.train.privileged) if self.train.privileged else scene
 
     def to_dict(self) -> dict[str, Any]:
         """The tree of plain values, which `config_from` converts back."""

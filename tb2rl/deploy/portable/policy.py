@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple, Type
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class ExportedPolicy:
                     index, name = key.split(".")
                     layers[int(index)][1][name] = arrays[key]
             self.needs = Needs(**{**description["needs"], "beams": np.array(description["needs"]["beams"])})
-            classes = {each.__name__: each for each in Filter.__subclasses__()}  # also those packed into this program
+            classes = {each.__name__: each for each in _subclasses(Filter)}  # also those packed into this program
             self.filters = [classes[each["class"]](**each["arguments"]) for each in description.get("filters", ())]
             self.safety, self._actions = description.get("safety"), description["actions"]
             self._encoding = Encoding(description["observation"], self.needs)
@@ -64,6 +64,12 @@ class ExportedPolicy:
             low, high = np.array(self._actions["low"]), np.array(self._actions["high"])
             v, w = low + (np.clip(action, -1.0, 1.0).astype(float) + 1.0) / 2.0 * (high - low)
         return float(v), float(w)
+
+
+def _subclasses(cls: Type[Filter]) -> Iterator[Type[Filter]]:
+    for subclass in cls.__subclasses__():
+        yield subclass
+        yield from _subclasses(subclass)
 
 
 class Network:

@@ -15,6 +15,7 @@ import pytest
 from tb2rl.commands.export import export_folder
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
+from tb2rl.core.plugins import FILTERS
 from tb2rl.deploy import SensorData, TrainedPolicy
 from tb2rl.deploy.folder import build_program
 from tb2rl.deploy.portable.main import main as drive
@@ -169,6 +170,12 @@ class StopNear(Filter):
     def __call__(self, commands, robot_state):
         return choose(robot_state.ranges.min(axis=1)[:, None] < self.distance, 0.0, commands)
 """
+
+
+def test_each_built_in_filter_is_in_the_program(untrained, alone, tmp_path):
+    export_folder(untrained(PPO, "drive", {**RAW, "task.beams": 60, "task.filters": list(FILTERS)}), tmp_path / "all")
+    code = "import drive; print([type(each).__name__ for each in drive.ExportedPolicy('.').filters])"
+    assert alone(code, folder=tmp_path / "all").stdout == "['PassiveSafety', 'Recovery', 'Safety', 'SpeedLimits']\n"
 
 
 def test_a_filter_of_ones_own_is_packed_into_the_program(alone, copy, tmp_path):
